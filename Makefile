@@ -77,7 +77,7 @@ newest: ## compiled code under the newest numba, whatever pyproject.toml allows,
 	$(PYTHON) -m venv .venv-newest
 	.venv-newest/bin/python -m pip install --quiet --editable '.[test]'
 	.venv-newest/bin/python -m pip install --quiet --upgrade --no-deps numba llvmlite
-	NUMBA_CACHE_DIR=$(CURDIR)/.venv-newest/numba .venv-newest/bin/python -m pytest tests/test_compiled.py tests/test_formulas.py tests/test_lanes.py tests/regolith
+	NUMBA_CACHE_DIR=$(CURDIR)/.venv-newest/numba .venv-newest/bin/python -m pytest tests/compiled tests/regolith
 
 fuzz: $(VENV)/.tested ## 100,000 spoilt files for every reader; some hours
 	$(BIN)/python tests/benchmarks/fuzz.py

@@ -150,7 +150,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     _prepare_process()
     if as_program:
-        _leave_when_told()
+        _leave_on_signal()
     try:
         code: Any = _program(*_parts(arguments))(arguments, standalone_mode=False, prog_name="lunarsci")
         code = int(code or 0)
@@ -195,8 +195,8 @@ def _report_usage(error: Any, message: str) -> int:
 
 def _with_nearest(message: str) -> str:
     """A message on a value that is none of a few choices, with the nearest of them."""
-    found = NO_CHOICE.search(message)
-    near = found and nearest(found[1], CHOICE.findall(found[2]))
+    choice = NO_CHOICE.search(message)
+    near = choice and nearest(choice[1], CHOICE.findall(choice[2]))
     return f"{message} Did you mean '{near}'?" if near else message
 
 
@@ -215,19 +215,19 @@ def _prepare_process() -> None:
             reconfigure(errors="replace", encoding="utf-8" if to_program else None)
 
 
-def _leave_when_told() -> None:
+def _leave_on_signal() -> None:
     """Ctrl-C where Python does not hear it, as while machine code is made: a moment later the process ends anyway."""
-    heard, told = os.pipe()
-    os.set_blocking(told, False)
-    signal.set_wakeup_fd(told, warn_on_full_buffer=False)
+    heard, wake = os.pipe()
+    os.set_blocking(wake, False)
+    signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
 
     def watch() -> None:
         while (number := os.read(heard, 1)[0]) not in STOPPING or signal.getsignal(number) is signal.SIG_IGN:
             pass
         time.sleep(MOMENT_S)
         blocks = sys.modules.get("lunarsci.parallel.blocks")
-        kept = blocks.what_is_saved() if blocks else []
-        say("; ".join(["interrupted", *(kept or [written()])]))
+        saved = blocks.what_is_saved() if blocks else []
+        say("; ".join(["interrupted", *(saved or [written()])]))
         os._exit(interrupted(number))
 
     threading.Thread(target=watch, daemon=True).start()

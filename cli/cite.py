@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from .shared.command import command
-from .shared.report import Report
+from .shared.emit import Report
 from .shared.table import TextTable
 
 Results = Annotated[list[str], typer.Argument(metavar="RESULT…", help="Files of --json, or folders of -o.")]
@@ -29,6 +29,6 @@ def cite(results: Results) -> Report:
     """
     from lunarsci.guide.cite import cite
 
-    found = cite(results)
-    rows = [[key, one.text] for key, one in found.keyed.items()]
-    return Report.of(found, [TextTable(["key", "source"], rows)], figures=None, raw=found.bibtex)
+    cited = cite(results)
+    rows = [[key, one.text] for key, one in cited.keyed.items()]
+    return Report(cited, [TextTable(["key", "source"], rows)], raw=cited.bibtex)

@@ -8,8 +8,8 @@ from typing import Annotated, Any
 import typer
 
 from .shared.command import command
+from .shared.emit import Report
 from .shared.options import Output
-from .shared.report import Report
 from .shared.table import TextTable, plus_minus
 from .shared.talk import say
 
@@ -39,7 +39,7 @@ def demo(
     result = demo(seed, say=partial(say, quiet=output.quiet))
     page = "report.html" in result.files
     say(f"all of it on one page: open {output.path}/report.html in a browser" if page else NO_PAGE, quiet=output.quiet)
-    return Report.of(result, [_table(result.rows(), output.path)], files=result.files, figures=None)
+    return Report(result, [_table(result.rows(), output.path)], files=result.files)
 
 
 def _table(findings: Sequence[Mapping[str, Any]], folder: Path | None) -> TextTable:

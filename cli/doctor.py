@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import typer
 
 from .shared.command import command
+from .shared.emit import Report
 from .shared.options import Output
-from .shared.progress import progress
-from .shared.report import Report
 from .shared.table import TextTable
+from .shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.guide.doctor import HealthReport
@@ -34,12 +34,12 @@ def doctor(output: Output) -> Report:
     from lunarsci.guide.doctor import doctor
 
     with progress("testing", quiet=output.quiet) as update:
-        found = doctor(progress=update)
-    return Report.of(found, [_table(found)], figures=None)
+        report = doctor(progress=update)
+    return Report(report, [_table(report)])
 
 
-def _table(found: HealthReport) -> TextTable:
-    lines = [f"{'ok ' if not one.trouble else 'OFF'}  {one.name}: {one.found}" for one in found.checks]
-    lines += [f"     {line}" for line in found.trouble]
-    title = f"{len(found.trouble)} of {len(found.checks)} things are off" if found.trouble else "all is well"
+def _table(report: HealthReport) -> TextTable:
+    lines = [f"{'ok ' if not one.trouble else 'OFF'}  {one.name}: {one.observed}" for one in report.checks]
+    lines += [f"     {line}" for line in report.trouble]
+    title = f"{len(report.trouble)} of {len(report.checks)} things are off" if report.trouble else "all is well"
     return TextTable([], [], title=title, notes=lines)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .shared.command import command
-from .shared.report import Report
+from .shared.emit import Report
 from .shared.table import TextTable, significant
 
 if TYPE_CHECKING:
@@ -34,14 +34,14 @@ def info(file: File) -> Report:
     """
     from lunarsci.guide.info import info
 
-    found = info(file)
-    return Report.of(found, [_contents(found), _commands(found)], figures=None, stored=found.stored)
+    described = info(file)
+    return Report(described, [_contents(described), _commands(described)], stored=described.stored)
 
 
-def _contents(found: "FileInfo") -> TextTable:
-    rows = [[name, _text(value)] for name, value in found.contents.items() if value is not None]
-    notes = [*found.remarks, *([found.trouble] if found.trouble else [])]
-    return TextTable(["what", "value"] if rows else [], rows, title=f"{found.file}: {found.title}", notes=notes)
+def _contents(described: "FileInfo") -> TextTable:
+    rows = [[name, _text(value)] for name, value in described.contents.items() if value is not None]
+    notes = [*described.remarks, *([described.trouble] if described.trouble else [])]
+    return TextTable(["what", "value"] if rows else [], rows, title=f"{described.file}: {described.title}", notes=notes)
 
 
 def _text(value: object) -> str:
@@ -50,6 +50,6 @@ def _text(value: object) -> str:
     return significant(value, 4) if isinstance(value, float) else str(value)
 
 
-def _commands(found: "FileInfo") -> TextTable:
-    lines = [f"  {line}" for line in found.commands] or ["  none as it is" if found.trouble else "  none that is known"]
+def _commands(file: "FileInfo") -> TextTable:
+    lines = [f"  {line}" for line in file.commands] or ["  none as it is" if file.trouble else "  none that is known"]
     return TextTable([], [], title="Commands that take it", notes=lines)

@@ -28,7 +28,7 @@ def _walked(words: tuple[str, ...], command: Any) -> Iterator[tuple[tuple[str, .
 
 
 def _page(words: tuple[str, ...], command: Any) -> str:
-    told = [" ".join(part.split()) for part in (command.help or "").split("\n\n") if part.strip()]
+    paragraphs = [" ".join(part.split()) for part in (command.help or "").split("\n\n") if part.strip()]
     title = "-".join(words)
     arguments = [one for one in command.params if one.param_type_name == "argument"]
     options = [one for one in command.params if one.param_type_name == "option"]
@@ -36,12 +36,12 @@ def _page(words: tuple[str, ...], command: Any) -> str:
     lines = [
         f'.TH "{title.upper()}" "{SECTION}" "" "lunarsci {__version__}" "lunarsci"',
         ".SH NAME",
-        rf"{_escaped(title)} \- {_escaped(told[0] if told else title)}",
+        rf"{_escaped(title)} \- {_escaped(paragraphs[0] if paragraphs else title)}",
         ".SH SYNOPSIS",
         rf".B {_escaped(' '.join(words))}",
         _escaped(f"[OPTIONS] {usage}".strip()),
         ".SH DESCRIPTION",
-        *(line for part in told for line in (".PP", _escaped(part))),
+        *(line for part in paragraphs for line in (".PP", _escaped(part))),
     ]
     inner = getattr(command, "commands", {})
     lines += [".SH COMMANDS"] if inner else []
@@ -77,8 +77,8 @@ def _entry(name: str, text: str | None) -> list[str]:
 
 
 def _examples(epilog: str) -> list[str]:
-    found = epilog.removeprefix("Examples:").strip("\n") if epilog.startswith("Examples:") else ""
-    return [".SH EXAMPLES", ".nf", *map(_escaped, found.split("\n")), ".fi"] if found else []
+    examples = epilog.removeprefix("Examples:").strip("\n") if epilog.startswith("Examples:") else ""
+    return [".SH EXAMPLES", ".nf", *map(_escaped, examples.split("\n")), ".fi"] if examples else []
 
 
 def _escaped(text: str) -> str:

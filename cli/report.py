@@ -9,8 +9,8 @@ import typer
 from lunarsci.pages.requests import ReportRequest
 
 from .shared.command import command
+from .shared.emit import Report
 from .shared.options import option
-from .shared.report import Report
 from .shared.table import TextTable
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def report(results: Results, request: ReportRequest) -> Report:
 
     made = report(results, request=request)
     html = {".html": lambda record: made.html(time="time_utc" in record)}
-    return Report.of(made, lambda: _tables(made), formats=html, figures=None)
+    return Report(made, lambda: _tables(made), formats=html)
 
 
 def _tables(made: ReportedResults) -> list[TextTable]:

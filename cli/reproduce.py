@@ -9,10 +9,10 @@ import typer
 from lunarsci.reproduce.requests import ReproduceRequest
 
 from .shared.command import command
+from .shared.emit import Report
 from .shared.options import SPREAD, Output, option
-from .shared.progress import progress
-from .shared.report import Report
 from .shared.table import TextTable
+from .shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.reproduce.job import Reproduction
@@ -44,14 +44,14 @@ def reproduce(request: ReproduceRequest, output: Output) -> Report:
     from lunarsci.reproduce.job import reproduce
 
     with progress("reproducing", quiet=output.quiet) as update:
-        found = reproduce(request, progress=update)
-    return Report.of(found, [_table(found, output.verbose)])
+        reproduction = reproduce(request, progress=update)
+    return Report(reproduction, [_table(reproduction, output.verbose)])
 
 
-def _table(found: Reproduction, verbose: bool) -> TextTable:
+def _table(reproduction: Reproduction, verbose: bool) -> TextTable:
     """One line a number, by part."""
-    rows, numbers = [], found.numbers
-    for part in found.parts:
+    rows, numbers = [], reproduction.numbers
+    for part in reproduction.parts:
         rows.append([TITLES[part], *[""] * 6])
         rows += [_row(number) for number in numbers if number.part == part]
     headers = ["number", "quantity", "published", "ours", "range", "unit", "verdict"]
@@ -59,12 +59,12 @@ def _table(found: Reproduction, verbose: bool) -> TextTable:
         width = max(len(headers[column]), *(len(row[column]) for row in rows))
         headers[column] = headers[column].rjust(width)
         rows = [[*row[:column], row[column].rjust(width), *row[column + 1 :]] for row in rows]
-    return TextTable(headers, rows, notes=_notes(found, verbose))
+    return TextTable(headers, rows, notes=_notes(reproduction, verbose))
 
 
 def _row(number: Number) -> list[str]:
-    own = [f"{number.published:g}", _ours(number), _range(number), number.unit, number.verdict]
-    return [f"  {number.id}", number.quantity, *own]
+    cells = [f"{number.published:g}", _ours(number), _range(number), number.unit, number.verdict]
+    return [f"  {number.id}", number.quantity, *cells]
 
 
 def _ours(number: Number) -> str:
@@ -82,8 +82,11 @@ def _evidence(number: Number) -> list[str]:
     return [f"  {number.id}", *reading, f"    {number.reason}"]
 
 
-def _notes(found: Reproduction, verbose: bool) -> list[str]:
-    numbers, counts = found.numbers, "; ".join(f"{count} {verdict}" for verdict, count in found.verdicts.items())
+def _notes(made: Reproduction, verbose: bool) -> list[str]:
+    numbers, counts = (
+        made.numbers,
+        "; ".join(f"{count} {verdict}" for verdict, count in made.verdicts.items()),
+    )
     notes = [f"{len(numbers)} numbers: {counts}"]
     if any(number.is_open and number.ours is not None for number in numbers):
         notes.append("in brackets: an example under an assumption that nothing published supports or rules out")

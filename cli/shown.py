@@ -10,9 +10,7 @@ from typing import TYPE_CHECKING
 
 from lunarsci.printable import printable
 
-from .shared.layout import terminal_width
-from .shared.printing import render
-from .shared.table import TextTable
+from .shared.table import TextTable, render, terminal_width
 
 if TYPE_CHECKING:
     from lunarsci.result import Result
@@ -37,8 +35,8 @@ def as_text(result: Result) -> str:
 def as_html(result: Result) -> str:
     """The same tables for a notebook, what should be known first."""
     tables = _tables(result)
-    said = [f"<b>{_cell(result.untrusted)}</b>"] if result.untrusted else []
-    lines = "".join(f"<p>{line}</p>" for line in (*said, *map(_cell, result.failures)))
+    untrusted = [f"<b>{_cell(result.untrusted)}</b>"] if result.untrusted else []
+    lines = "".join(f"<p>{line}</p>" for line in (*untrusted, *map(_cell, result.failures)))
     if tables is None:
         shown: str = result.to_table()._repr_html_()
         return lines + shown

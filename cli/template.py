@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from .shared.command import command
-from .shared.report import Report
+from .shared.emit import Report
 from .shared.table import TextTable
 
 Kind = Annotated[
@@ -35,5 +35,5 @@ def template(kind: Kind) -> Report:
     """
     from lunarsci.guide.template import template
 
-    found = template(kind)
-    return Report.of(found, [TextTable([], [], title=found.name)], figures=None, raw=lambda: found.text)
+    made = template(kind)
+    return Report(made, [TextTable([], [], title=made.name)], raw=lambda: made.text)

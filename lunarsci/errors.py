@@ -54,17 +54,17 @@ class Failure(str):
 
         Where a spectrum is the `only` one of its input, the whole input gave no result.
         """
-        told = str(why)
+        reason = str(why)
         place = f"{name}: {spectrum}: " if spectrum else f"{name}: "
-        made = cls(told if name in told and not spectrum else f"{place}{told}")
+        made = cls(reason if name in reason and not spectrum else f"{place}{reason}")
         made.input, made.spectrum, made.no_files = name, "" if only else spectrum, isinstance(why, NoFilesError)
-        made.reason = told.removeprefix(name).lstrip(":, ") or told
+        made.reason = reason.removeprefix(name).lstrip(":, ") or reason
         return made
 
-    def worded(self, told: Callable[[str], str]) -> "Failure":
-        """The same, in which `told` words the sentence; names stay."""
-        made = type(self)(told(self))
-        made.input, made.spectrum, made.reason = self.input, self.spectrum, told(self.reason)
+    def worded(self, rephrase: Callable[[str], str]) -> "Failure":
+        """The same, in which `rephrase` words the sentence; names stay."""
+        made = type(self)(rephrase(self))
+        made.input, made.spectrum, made.reason = self.input, self.spectrum, rephrase(self.reason)
         made.no_files = self.no_files
         return made
 

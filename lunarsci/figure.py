@@ -288,8 +288,8 @@ def _rendered(figures: "Iterable[Figure]", target: Path, suffix: str) -> bytes:
 def _headline_of(figure: "Figure", number: int) -> str:
     """What is above all panels of a page, or above the first, else its number."""
     titles = (figure.get_suptitle(), *(one.get_title() for one in figure.axes[:1]))
-    found = next((" ".join(text.replace(r"\$", "$").split()) for text in titles if text.strip()), "")
-    return f"page {number}{f' ({found})' if found else ''}"
+    title = next((" ".join(text.replace(r"\$", "$").split()) for text in titles if text.strip()), "")
+    return f"page {number}{f' ({title})' if title else ''}"
 
 
 def _one(figure: "Figure", suffix: str) -> bytes:

@@ -5,39 +5,36 @@ from collections.abc import Iterable, Sequence
 
 from lunarsci.errors import ParameterError
 
-ALIKE = 0.6
-"""Likeness (difflib's ratio) from which a known name may be the one that is meant; difflib's own choice. Assumed."""
 
-
-def nearest(name: str, known: Iterable[str], cutoff: float = ALIKE) -> str | None:
+def nearest(name: str, names: Iterable[str]) -> str | None:
     """The known name that is most alike, capitals aside; None where none is.
 
     >>> nearest("yutu-2", ["small-four", "yutu2"])
     'yutu2'
     """
-    names = {one.casefold(): one for one in reversed(list(known))}
-    found = difflib.get_close_matches(name.casefold(), list(names), n=1, cutoff=cutoff)
-    return names[found[0]] if found else None
+    by_fold = {one.casefold(): one for one in reversed(list(names))}
+    close = difflib.get_close_matches(name.casefold(), list(by_fold), n=1)
+    return by_fold[close[0]] if close else None
 
 
-def meant(name: str, known: Iterable[str]) -> str:
+def meant(name: str, names: Iterable[str]) -> str:
     """`did you mean 'yutu2'? ` for a message; nothing where no name is near.
 
     >>> meant("yutu-2", ["yutu2"]), meant("x", ["yutu2"])
     ("did you mean 'yutu2'? ", '')
     """
-    near = nearest(name, known)
+    near = nearest(name, names)
     return f"did you mean '{near}'? " if near else ""
 
 
-def one_of(name: str, known: Iterable[str]) -> str:
+def one_of(name: str, names: Iterable[str]) -> str:
     """The end of a message on a name that is none of the known ones: the nearest, and all.
 
     >>> one_of("coheson_pa", ["cohesion_pa", "friction_angle_deg"])
     "did you mean 'cohesion_pa'? these are: cohesion_pa, friction_angle_deg"
     """
-    names = list(known)
-    return f"{meant(name, names)}these are: {', '.join(names)}"
+    listed = list(names)
+    return f"{meant(name, listed)}these are: {', '.join(listed)}"
 
 
 def some_of(names: Sequence[str], most: int, between: str = ", ") -> str:
@@ -50,14 +47,14 @@ def some_of(names: Sequence[str], most: int, between: str = ", ") -> str:
     return f"{between.join(names[:most])}{more}"
 
 
-def known_name(name: str, known: Iterable[str], what: str) -> str:
+def checked_name(name: str, names: Iterable[str], what: str) -> str:
     """The name, if it is known, capitals aside. Raises ParameterError that names the nearest, and all.
 
     `what` says what it should be, such as `a soil`.
     """
-    names = list(dict.fromkeys(known))
-    if name in names:
+    listed = list(dict.fromkeys(names))
+    if name in listed:
         return name
-    if alike := [one for one in names if one.casefold() == name.casefold()]:
+    if alike := [one for one in listed if one.casefold() == name.casefold()]:
         return alike[0]
-    raise ParameterError(f"'{name}' is not {what}; {one_of(name, names)}")
+    raise ParameterError(f"'{name}' is not {what}; {one_of(name, listed)}")

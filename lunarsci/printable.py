@@ -12,7 +12,7 @@ LONGEST = 300
 
 def printable(text: str) -> str:
     """The text with its control characters spelt out, such as `\\x1b`."""
-    return COMMANDS.sub(lambda found: f"\\x{ord(found[0]):02x}", text)
+    return COMMANDS.sub(lambda sign: f"\\x{ord(sign[0]):02x}", text)
 
 
 def cell(text: str) -> str:

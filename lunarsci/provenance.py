@@ -120,24 +120,24 @@ def to_json(content: Any) -> str:
 
 def json_chunks(content: Any) -> Iterator[bytes]:
     """The same in pieces, for what is kept as `Records` is written block by block and never made whole."""
-    found: list[tuple[Any, int]] = []
-    skeleton = to_text(_without_records(content, 1, found))
+    taken_out: list[tuple[Any, int]] = []
+    skeleton = to_text(_without_records(content, 1, taken_out))
     for number, piece in enumerate(re.split(f'"{_MARK}([0-9]+)"', skeleton)):
         if number % 2 == 0:
             yield piece.encode()
         else:
-            records, depth = found[int(piece)]
+            records, depth = taken_out[int(piece)]
             yield b"[\n" if len(records) else b"["
             yield from records.json_chunks(depth)
             yield f"\n{'  ' * (depth - 1)}]".encode() if len(records) else b"]"
     yield b"\n"
 
 
-def _without_records(content: Any, depth: int, found: list[tuple[Any, int]]) -> Any:
-    """Each of the records replaced by a mark, and put into `found` with the depth of its objects."""
+def _without_records(content: Any, depth: int, taken_out: list[tuple[Any, int]]) -> Any:
+    """Each of the records replaced by a mark, and put into `taken_out` with the depth of its objects."""
     if isinstance(content, Mapping):
-        return {key: _without_records(value, depth + 1, found) for key, value in content.items()}
+        return {key: _without_records(value, depth + 1, taken_out) for key, value in content.items()}
     if hasattr(content, "json_chunks"):
-        found.append((content, depth))
-        return f"\0{len(found) - 1}"
+        taken_out.append((content, depth))
+        return f"\0{len(taken_out) - 1}"
     return content

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 Given = ParamSpec("Given")
-Found = TypeVar("Found")
+Returned = TypeVar("Returned")
 UNITS = {
     "torque_nm": "N m",
     "moment_nm": "N m",
@@ -74,7 +74,7 @@ NO_VALUE = ("beyond_range", "no_channels", "undefined")
 """What a `status` says of a value that may be used, and of one that may not."""
 UNMOVED = 0.9
 """Share of a prior's standard deviation above which a value is the prior's; assumed."""
-PRIORS_OWN = "the prior's: the spectrum says nothing"
+AS_PRIOR = "the prior's: the spectrum says nothing"
 
 
 def unit_of(key: str) -> str:
@@ -94,11 +94,11 @@ def doubt_about(record: Mapping[str, Any]) -> str:
     'beyond 0-100, where the trend was measured'
     """
     reason = record.get("reason") or record.get("status")
-    told = reason if isinstance(reason, str) and reason not in FINE else ""
-    if not told and record.get("in_range") is False and "lowest" in record:
-        told = f"beyond {record['lowest']:g}-{record['highest']:g}, where the trend was measured"
+    doubt = reason if isinstance(reason, str) and reason not in FINE else ""
+    if not doubt and record.get("in_range") is False and "lowest" in record:
+        doubt = f"beyond {record['lowest']:g}-{record['highest']:g}, where the trend was measured"
     outside = any(record.get(flag) is False for flag in ("in_range", "in_domain"))
-    return told or "out of range" if outside or record.get("status") in NO_VALUE else ""
+    return doubt or "out of range" if outside or record.get("status") in NO_VALUE else ""
 
 
 def from_prior(sigma: float | None, prior_sigma: float) -> bool:
@@ -261,17 +261,17 @@ class Result(ABC):
         """A page of `--plot`, from 0. Raises ParameterError where there is no such page."""
 
         with styled():
-            found = next(islice(self.figures(), page, None), None)
-        if found is None:
+            figure = next(islice(self.figures(), page, None), None)
+        if figure is None:
             raise ParameterError(f"page {page}: there is no such picture of this result")
-        return found
+        return figure
 
     def _repr_html_(self) -> str:
         made: str = self.renderer().as_html(self) if self.renderer else self.to_table()._repr_html_()
         return made
 
 
-def job(function: Callable[Given, Found]) -> Callable[Given, Found]:
+def job(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
     """A function of `import lunarsci`: its result knows what it was asked with, and its help names every option.
 
     Its parameter `request` is a dataclass or None, `options` by name replace fields of it.
@@ -280,15 +280,15 @@ def job(function: Callable[Given, Found]) -> Callable[Given, Found]:
     signature = inspect.signature(function)
 
     @functools.wraps(function)
-    def run(*args: Given.args, **options: Given.kwargs) -> Found:
+    def run(*args: Given.args, **options: Given.kwargs) -> Returned:
         bound = signature.bind(*_together(args, kind, signature), **options)
         replaced = bound.arguments.pop("options", {})
         request = bound.arguments["request"] = request_of(kind, bound.arguments.get("request"), replaced)
         with _heard(sys._getframe(1)) as heard:
-            found = function(*bound.args, **bound.kwargs)
+            result = function(*bound.args, **bound.kwargs)
         fields = {item.name: plain(getattr(request, item.name)) for item in dataclasses.fields(request)}
-        object.__setattr__(found, "asked", Asked(f"lunarsci.{function.__name__}", fields, heard))
-        return found
+        object.__setattr__(result, "asked", Asked(f"lunarsci.{function.__name__}", fields, heard))
+        return result
 
     run.__doc__ = f"{inspect.getdoc(function)}\n\n{options_text(kind)}"
     return run

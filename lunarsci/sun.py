@@ -90,8 +90,8 @@ def sun_from_moon_au(time: datetime, light_time_s: float = 0.0) -> FloatArray:
     _, earth = erfa.epv00(jd, day)
     earth_from_sun_then, earth_then = erfa.epv00(jd, day - light_time_s / _SECONDS_PER_DAY)
     moon = earth["p"] + erfa.moon98(jd, day)["p"]
-    found: FloatArray = earth_then["p"] - earth_from_sun_then["p"] - moon
-    return found
+    sun_au: FloatArray = earth_then["p"] - earth_from_sun_then["p"] - moon
+    return sun_au
 
 
 def sun_in_moon_frame(time: datetime) -> FloatArray:
@@ -100,8 +100,8 @@ def sun_in_moon_frame(time: datetime) -> FloatArray:
     Aberration (20 arc seconds) is left out. Raises ParameterError as `sun_from_moon_au`.
     """
     toward, (jd, day) = sun_from_moon_au(time), _terrestrial_time(time)
-    found: FloatArray = lunar_axes(jd - _J2000_JD + day) @ (toward / np.linalg.norm(toward))
-    return found
+    sun: FloatArray = lunar_axes(jd - _J2000_JD + day) @ (toward / np.linalg.norm(toward))
+    return sun
 
 
 def upward(longitude_deg: float, latitude_deg: float) -> FloatArray:

@@ -17,7 +17,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
 
-KEPT = 0.5
+EFFECTIVE_LEFT = 0.5
 """Share of the points that a step of beta leaves, as an effective number."""
 LEAST_LN_POWER, TOLERANCE = -60.0, 1e-9
 """Where the search for a step begins, and how near it ends, in the logarithm of the step."""
@@ -117,23 +117,23 @@ def correlation(before: FloatArray, after: FloatArray, mirrored: bool = False) -
     all points are one. [-]"""
     one, two = before - before.mean(axis=0), after - after.mean(axis=0)
     norm = np.sqrt(np.sum(one**2, axis=0) * np.sum(two**2, axis=0))
-    known = norm > 0
-    found = np.where(known, np.sum(one * two, axis=0) / np.where(known, norm, 1.0), 1.0)
-    return float(np.max(np.abs(found) if mirrored else found))
+    varies = norm > 0
+    each = np.where(varies, np.sum(one * two, axis=0) / np.where(varies, norm, 1.0), 1.0)
+    return float(np.max(np.abs(each) if mirrored else each))
 
 
 def forget(
-    population: Moving, beta: float, moves: Moves, told: Callable[[int], None] = lambda done: None
+    population: Moving, beta: float, moves: Moves, progress: Callable[[int], None] = lambda done: None
 ) -> tuple[int, float]:
     """Move points until they have forgotten where they were; how often, and the correlation left.
 
-    `told` is called after each move with how many there were.
+    `progress` is called after each move with how many there were.
     """
     before, done, left = population.points.copy(), 0, 1.0
     while done < moves.fewest or (done < moves.most and left >= moves.forgotten):
         population.move(beta)
         done, left = done + 1, correlation(before, population.points, moves.mirrored)
-        told(done)
+        progress(done)
     return done, left
 
 
@@ -151,7 +151,7 @@ def carry(
     beta = 0.0
     while beta < 1.0:
         value, rest = population.ln_likelihood, 1.0 - beta
-        rise = largest_power(value, KEPT * len(value), rest)
+        rise = largest_power(value, EFFECTIVE_LEFT * len(value), rest)
         beta = 1.0 if rise == rest else beta + rise
         weight = weights(rise * value)
         population.resample(beta, weight, systematic(weight, random.random()))

@@ -44,7 +44,8 @@ no worker is left with one at the end."""
 
 
 QUICK = {
-    "tests": "inputs tables tempering",
+    "tests": "tempering",
+    "io": "inputs tables",
     "regolith": "belief compare forces identify integrals inversion physics_discrepancy states",
     "inference": "problem",
     "rovers": "rovers",

@@ -70,7 +70,9 @@ def test_a_spectrum_with_a_name_of_commands(kind: str, capfd: pytest.CaptureFixt
 DEEP, DIGITS = 100_000, 5000
 
 
-@pytest.mark.parametrize("content", ["[" * DEEP, '{"a":' * DEEP, f'{{"a": {"9" * DIGITS}}}', '{"a": 1e999}', "[1"])
+@pytest.mark.parametrize(
+    "content", ["[" * DEEP, '{"a":' * DEEP, f'{{"a": {"9" * DIGITS}}}', '{"a": 1e999}', f"[{2**63}]", "[1"]
+)
 def test_json_fails_in_one_way(content: str) -> None:
     with pytest.raises(json.JSONDecodeError):
         json_document(content)

@@ -21,8 +21,8 @@ from astropy import units
 from astropy.table import QTable
 from lunarsci.cli import command_line, main
 from lunarsci.cli.shared.command import command
+from lunarsci.cli.shared.emit import Report
 from lunarsci.cli.shared.options import option
-from lunarsci.cli.shared.report import Report
 from typer.testing import CliRunner
 
 import lunarsci
@@ -218,7 +218,7 @@ def test_a_command_takes_the_fields_of_a_request() -> None:
     @command(app, "try", request=Asked, options={"load_n": option(), "ties": option(), "exact": option()})
     def run(request: Asked) -> Report:
         seen.append(request)
-        return Report.of(Found(request.load_n, "x"), [])
+        return Report(Found(request.load_n, "x"), [])
 
     runner = CliRunner()
     help_text = " ".join(runner.invoke(app, ["--help"]).output.replace("│", " ").split())

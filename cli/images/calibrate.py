@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from lunarsci.images.jobs.requests import CalibrateCamerasRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
+from ..shared.talk import progress
 from .cameras import SHOWN, number
 
 if TYPE_CHECKING:
@@ -68,35 +67,32 @@ def calibrate(output: Output, pictures: Pictures, request: CalibrateCamerasReque
     from lunarsci.images.jobs.calibrate_cameras import calibrate_cameras
 
     with progress("looking for the board", quiet=output.quiet) as update:
-        found = calibrate_cameras(
+        cameras = calibrate_cameras(
             pictures_matching(pictures), pictures_matching([right] if right else [], "right"), request, progress=update
         )
 
-    def rig_file(_: Mapping[str, Any]) -> bytes:
-        return found.toml()
-
-    return Report.of(found, result_tables(found), formats={".toml": rig_file})
+    return Report(cameras, result_tables(cameras), formats={".toml": lambda _: cameras.toml()})
 
 
-def result_tables(found: CalibratedCameras) -> list[TextTable]:
-    result = found.to_dict()
-    cameras = list(result["cameras"].values())
-    rows = [[name, *(number(name, own) for own in cameras)] for name in SHOWN]
-    rows.append(["residual [px]", *(f"{own['residual_rms_px']:.3f}" for own in cameras)])
-    rows.append(["seen", *(f"{own['seen_share']:.0%}" for own in cameras)])
-    rows.append(["edge uncertain by [px]", *(f"{own['corner_uncertainty_px']:.2f}" for own in cameras)])
-    notes = [f"not determined: {line}" for line in result["not_determined"]] + result["notes"]
-    if "baseline_m" in result:
+def result_tables(result: CalibratedCameras) -> list[TextTable]:
+    record = result.to_dict()
+    cameras = list(record["cameras"].values())
+    rows = [[name, *(number(name, camera) for camera in cameras)] for name in SHOWN]
+    rows.append(["residual [px]", *(f"{camera['residual_rms_px']:.3f}" for camera in cameras)])
+    rows.append(["seen", *(f"{camera['seen_share']:.0%}" for camera in cameras)])
+    rows.append(["edge uncertain by [px]", *(f"{camera['corner_uncertainty_px']:.2f}" for camera in cameras)])
+    notes = [f"not determined: {line}" for line in record["not_determined"]] + record["notes"]
+    if "baseline_m" in record:
         notes.insert(
-            0, f"baseline {plus_minus(1e3 * result['baseline_m'], 1e3 * result['baseline_m_sigma'], digits=2)} mm"
+            0, f"baseline {plus_minus(1e3 * record['baseline_m'], 1e3 * record['baseline_m_sigma'], digits=2)} mm"
         )
     title = (
-        f"{found.request.name}: residuals {result['residual_px']:.3f} px, {result['left_out_points']} points left out"
+        f"{result.request.name}: residuals {record['residual_px']:.3f} px, {record['left_out_points']} points left out"
     )
-    whole = TextTable(["", *result["cameras"]], rows, title=title, notes=notes)
+    whole = TextTable(["", *record["cameras"]], rows, title=title, notes=notes)
     pictures = [
         [row["file"], str(row["points"]), str(row["used"])]
         + ["-" if row[key] is None else f"{row[key]:.3f}" for key in ("rms_px", "largest_px")]
-        for row in result["pictures"]
+        for row in record["pictures"]
     ]
     return [whole, TextTable(["picture", "points", "used", "rms [px]", "largest [px]"], pictures, title="Pictures")]

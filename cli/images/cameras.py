@@ -11,8 +11,8 @@ import typer
 from lunarsci.images.jobs.requests import CamerasRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
 
 if TYPE_CHECKING:
@@ -52,19 +52,16 @@ def cameras(output: Output, request: CamerasRequest, sources: Sources = None) ->
     """
     from lunarsci.images.jobs.cameras import cameras
 
-    found = cameras(sources or (), request)
+    sheet = cameras(sources or (), request)
 
-    def rig_file(_: Mapping[str, Any]) -> bytes:
-        return found.toml()
-
-    return Report.of(found, result_tables(found), formats={".toml": rig_file})
+    return Report(sheet, result_tables(sheet), formats={".toml": lambda _: sheet.toml()})
 
 
-def result_tables(found: CameraSheet) -> list[TextTable]:
-    result, tables = found.to_dict(), []
-    for rig in result["rigs"]:
+def result_tables(result: CameraSheet) -> list[TextTable]:
+    record, tables = result.to_dict(), []
+    for rig in record["rigs"]:
         tables += [_intrinsics(rig), _ranges(rig)]
-    return tables + [_alone(camera) for camera in result["cameras"]]
+    return tables + [_alone(camera) for camera in record["cameras"]]
 
 
 def number(name: str, camera: Mapping[str, Any]) -> str:
@@ -81,7 +78,7 @@ def _intrinsics(rig: Mapping[str, Any]) -> TextTable:
     rows.append(["size [px]", *(f"{side['width_px']} x {side['height_px']}" for side in sides)])
     error = rig["baseline_m_sigma"]
     notes = [f"baseline {plus_minus(1e3 * rig['baseline_m'], error and 1e3 * error, digits=2)} mm"]
-    notes += [f"read as: {said}" for said in rig["read_as"]]
+    notes += [f"read as: {note}" for note in rig["read_as"]]
     notes += [f"assumed: {', '.join(rig['assumed'])}"] if rig["assumed"] else []
     notes += [f"source: {rig['source']}"] if rig["source"] else []
     return TextTable(["", "left", "right"], rows, title=rig["name"], notes=notes)

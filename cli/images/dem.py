@@ -11,10 +11,10 @@ import typer
 from lunarsci.images.jobs.requests import DemRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable
+from ..shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.images.jobs.dem import StereoTerrain
@@ -57,20 +57,20 @@ def dem(left: Left, right: Right, request: DemRequest, output: Output, terrain: 
 
     output.check_extra("--save-terrain", terrain, (".npz", ".tif", ".tiff"))
     with progress("matching", quiet=output.quiet) as update:
-        found = dem(left, right, request, progress=update)
-    return Report.of(found, result_tables(found), extras={} if terrain is None else {terrain: _content(found, terrain)})
+        made = dem(left, right, request, progress=update)
+    return Report(made, result_tables(made), extras={} if terrain is None else {terrain: _content(made, terrain)})
 
 
-def _content(found: StereoTerrain, path: Path) -> Callable[[], bytes]:
+def _content(result: StereoTerrain, path: Path) -> Callable[[], bytes]:
 
     from lunarsci.images.elevation import elevation_bytes, elevation_geotiff
 
-    return lambda: elevation_bytes(found.model) if path.suffix == ".npz" else elevation_geotiff(found.model)
+    return lambda: elevation_bytes(result.model) if path.suffix == ".npz" else elevation_geotiff(result.model)
 
 
-def result_tables(found: StereoTerrain) -> list[TextTable]:
-    result = found.to_dict()
-    terrain, pixels = result["terrain"], result["pixels"]
+def result_tables(result: StereoTerrain) -> list[TextTable]:
+    record = result.to_dict()
+    terrain, pixels = record["terrain"], record["pixels"]
     rows = [
         [
             f"{row['range_from_m']:g} to {row['range_to_m']:.3g}",
@@ -80,7 +80,7 @@ def result_tables(found: StereoTerrain) -> list[TextTable]:
             f"{row['median_count']:.1f}",
             f"{1e3 * row['median_resolution_m']:.0f}",
         ]
-        for row in result["ranges"]
+        for row in record["ranges"]
     ]
     (west, east), (south, north) = terrain["x_m"], terrain["y_m"]
     nodes = "{} x {}".format(*terrain["nodes"])
@@ -88,8 +88,8 @@ def result_tables(found: StereoTerrain) -> list[TextTable]:
     without = ", ".join(f"{name.replace('_', ' ')} {share:.1%}" for name, share in pixels.items() if share >= 5e-4)
     notes = [
         f"pixels: {without}",
-        f"rows of the pictures were {result['row_offset_px']:.2f} px apart; holes {terrain['hole_share']:.0%}",
-        *result["notes"],
+        f"rows of the pictures were {record['row_offset_px']:.2f} px apart; holes {terrain['hole_share']:.0%}",
+        *record["notes"],
     ]
     headers = ["range [m]", "nodes", "random [mm]", "common [mm]", "pixels a node", "resolution [mm]"]
     return [TextTable(headers, rows, title=title, notes=notes)]

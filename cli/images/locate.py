@@ -9,10 +9,10 @@ import typer
 from lunarsci.images.jobs.requests import LocateRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
+from ..shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.images.jobs.locate import LocatedStations
@@ -57,12 +57,12 @@ def locate(output: Output, stations: Folders, request: LocateRequest) -> Report:
     from lunarsci.images.jobs.locate import locate
 
     with progress("locating", quiet=output.quiet) as update:
-        found = locate(stations, request, progress=update)
-    return Report.of(found, result_tables(found), files=found.files())
+        result = locate(stations, request, progress=update)
+    return Report(result, result_tables(result), files=result.files())
 
 
-def result_tables(found: LocatedStations) -> list[TextTable]:
-    result = found.to_dict()
+def result_tables(result: LocatedStations) -> list[TextTable]:
+    record = result.to_dict()
     rows = [
         [
             row["station"],
@@ -71,7 +71,7 @@ def result_tables(found: LocatedStations) -> list[TextTable]:
             f"{row['from_dead_reckoning_m']:.3f}",
             "yes" if row["tied"] else "no",
         ]
-        for row in result["stations"]
+        for row in record["stations"]
     ]
     headers = ["station", "x [m]", "y [m]", "z [m]", "camera's heading [deg]", "from dead reckoning [m]", "tied"]
     pairs = [
@@ -83,7 +83,7 @@ def result_tables(found: LocatedStations) -> list[TextTable]:
             "" if pair["correlation"] is None else f"{pair['correlation']:.2f}",
             pair["failure"],
         ]
-        for pair in result["pairs"]
+        for pair in record["pairs"]
     ]
     ties = TextTable(["stations", "overlap", "of one motion", "ties", "correlation", "failed"], pairs, title="Pairs")
-    return [TextTable(headers, rows, title=result["positions_of"].capitalize(), notes=result["notes"]), ties]
+    return [TextTable(headers, rows, title=record["positions_of"].capitalize(), notes=record["notes"]), ties]

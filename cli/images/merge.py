@@ -10,10 +10,10 @@ import typer
 from lunarsci.images.jobs.requests import MergeRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
+from ..shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.images.jobs.merge import MergedStations
@@ -47,16 +47,16 @@ def merge(output: Output, dems: Elevations, request: MergeRequest) -> Report:
     from lunarsci.images.jobs.merge import merge
 
     with progress("merging", quiet=output.quiet) as update:
-        found = merge(dems, request, progress=update)
-    return Report.of(found, result_tables(found), formats={end: _writer(made) for end, made in found.files().items()})
+        merged = merge(dems, request, progress=update)
+    return Report(merged, result_tables(merged), formats={end: _writer(make) for end, make in merged.files().items()})
 
 
 def _writer(made: Callable[[], bytes]) -> Callable[[Mapping[str, Any]], bytes]:
     return lambda _: made()
 
 
-def result_tables(found: MergedStations) -> list[TextTable]:
-    result = found.to_dict()
+def result_tables(result: MergedStations) -> list[TextTable]:
+    record = result.to_dict()
     rows = [
         [
             str(row["station"]),
@@ -64,9 +64,9 @@ def result_tables(found: MergedStations) -> list[TextTable]:
             plus_minus(row["offset_sigmas"], row["offset_sigmas_sigma"], digits=2),
             *(plus_minus(1e3 * row[key], 1e3 * row[f"{key}_sigma"]) for key in ("x_m", "y_m")),
         ]
-        for row in result["stations"]
+        for row in record["stations"]
     ]
-    terrain = result["terrain"]
+    terrain = record["terrain"]
     title = f"{terrain['nodes'][0]} x {terrain['nodes'][1]} nodes every {terrain['spacing_m']:g} m"
     headers = ["station", "file", "offset [common sigmas]", "x off [mm]", "y off [mm]"]
     pairs = [
@@ -77,7 +77,7 @@ def result_tables(found: MergedStations) -> list[TextTable]:
             f"{pair['rms_z']:.2f}",
             f"{pair['odd_share']:.1%}",
         ]
-        for pair in result["overlaps"]
+        for pair in record["overlaps"]
     ]
     notes = ["the terrain is synthetic"] if terrain["synthetic"] else []
     overlap = TextTable(["stations", "nodes", "median [mm]", "rms z", "beyond 3"], pairs, title="Overlaps, corrected")

@@ -9,10 +9,10 @@ import typer
 from lunarsci.images.jobs.requests import RenderRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable
+from ..shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.images.jobs.render import SyntheticPair
@@ -59,18 +59,18 @@ def render(output: Output, request: RenderRequest, terrain: Terrain = None) -> R
     from lunarsci.images.jobs.render import render
 
     with progress("rendering", quiet=output.quiet) as update:
-        found = render(terrain, request, progress=update)
-    return Report.of(found, result_tables(found), files=found.files())
+        result = render(terrain, request, progress=update)
+    return Report(result, result_tables(result), files=result.files())
 
 
-def result_tables(found: SyntheticPair) -> list[TextTable]:
+def result_tables(result: SyntheticPair) -> list[TextTable]:
     """What the pixels show."""
-    result = found.to_dict()
-    pixels = {name.replace("_", " "): share for name, share in result["pixels"].items()}
-    position = ", ".join(f"{v:.3f}" for v in result["pose"]["position_m"])
+    record = result.to_dict()
+    pixels = {name.replace("_", " "): share for name, share in record["pixels"].items()}
+    position = ", ".join(f"{v:.3f}" for v in record["pose"]["position_m"])
     notes = [
-        f"left camera at {position} m, {result['pose']['down_deg']:.1f} deg below the horizon; {result['rocks']} rocks",
+        f"left camera at {position} m, {record['pose']['down_deg']:.1f} deg below the horizon; {record['rocks']} rocks",
         "SYNTHETIC: ground, rocks and light are made up",
     ]
     rows = [[name, f"{share:.1%}"] for name, share in pixels.items()]
-    return [TextTable(["pixels", "share"], rows, title=f"SYNTHETIC pair of {result['rig']['name']}", notes=notes)]
+    return [TextTable(["pixels", "share"], rows, title=f"SYNTHETIC pair of {record['rig']['name']}", notes=notes)]

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
 from lunarsci.images.jobs.requests import RocksRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
+from ..shared.talk import progress
 from .track import Elevation
 
 if TYPE_CHECKING:
@@ -47,16 +46,13 @@ def rocks(output: Output, dem: Elevation, request: RocksRequest) -> Report:
     from lunarsci.images.jobs.rocks import rocks
 
     with progress("looking for rocks", quiet=output.quiet) as update:
-        found = rocks(dem, request, progress=update)
+        result = rocks(dem, request, progress=update)
 
-    def keep_outs(_: Mapping[str, Any]) -> bytes:
-        return found.geojson()
-
-    return Report.of(found, result_tables(found), formats={".geojson": keep_outs})
+    return Report(result, result_tables(result), formats={".geojson": lambda _: result.geojson()})
 
 
-def result_tables(found: RockList) -> list[TextTable]:
-    result = found.to_dict()
+def result_tables(result: RockList) -> list[TextTable]:
+    record = result.to_dict()
     rows = [
         [
             str(row["id"]),
@@ -67,12 +63,12 @@ def result_tables(found: RockList) -> list[TextTable]:
             f"{row['significance']:.1f}",
             f"{row['keepout_m']:.3f}",
         ]
-        for row in result["rocks"][:SHOWN]
+        for row in record["rocks"][:SHOWN]
     ]
-    more = len(result["rocks"]) - len(rows)
+    more = len(record["rocks"]) - len(rows)
     headers = ["rock", "x [m]", "y [m]", "diameter [m]", "height [m]", "sigmas", "keep out [m]"]
-    notes = [*([f"and {more} more: --csv has all"] if more > 0 else []), *result["notes"]]
-    title = f"{len(result['rocks'])} rocks on {result['terrain']['name']}; {result['expected_false_share']:.1%} false"
+    notes = [*([f"and {more} more: --csv has all"] if more > 0 else []), *record["notes"]]
+    title = f"{len(record['rocks'])} rocks on {record['terrain']['name']}; {record['expected_false_share']:.1%} false"
     shares = [
         [
             f"{row['diameter_m']:g}",
@@ -82,7 +78,7 @@ def result_tables(found: RockList) -> list[TextTable]:
             str(row["trials"]),
             f"{row['share']:.0%} ({row['share_low']:.0%} to {row['share_high']:.0%})",
         ]
-        for row in result["completeness"]
+        for row in record["completeness"]
     ]
     tried = TextTable(["diameter [m]", "error of nodes [mm]", "put in", "found (68 %)"], shares, title="Completeness")
     return [TextTable(headers, rows, title=title, notes=notes), tried]

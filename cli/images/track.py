@@ -9,10 +9,10 @@ import typer
 from lunarsci.images.jobs.requests import TrackRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable
+from ..shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.images.jobs.track import TrackSinkage
@@ -55,13 +55,13 @@ def track(output: Output, dem: Elevation, request: TrackRequest) -> Report:
     from lunarsci.images.jobs.track import track
 
     with progress("measuring the track", quiet=output.quiet) as update:
-        found = track(dem, request, progress=update)
-    return Report.of(found, result_tables(found))
+        result = track(dem, request, progress=update)
+    return Report(result, result_tables(result))
 
 
-def result_tables(found: TrackSinkage) -> list[TextTable]:
-    result = found.to_dict()
-    rut, sinkage = result["rut_m"], result["sinkage_m"]
+def result_tables(result: TrackSinkage) -> list[TextTable]:
+    record = result.to_dict()
+    rut, sinkage = record["rut_m"], record["sinkage_m"]
     rows = [
         [
             f"{row['distance_m']:.2f}",
@@ -70,18 +70,18 @@ def result_tables(found: TrackSinkage) -> list[TextTable]:
             *(_mm(row[name]) for name in ("rut_m", "rut_m_random", "rut_m_systematic", "sinkage_m")),
             row["status"],
         ]
-        for row in result["track"]
+        for row in record["track"]
     ]
     headers = ["along [m]", "x [m]", "y [m]", "depth [mm]", "random", "systematic", "sinkage [mm]", "status"]
-    causes = ", ".join(f"{name} {_mm(value)}" for name, value in result["systematic_m"].items())
+    causes = ", ".join(f"{name} {_mm(value)}" for name, value in record["systematic_m"].items())
     notes = [
         f"mean: depth {_mm(rut['mean'])} ± {_mm(rut['sigma'])} mm (random {_mm(rut['random'])}, systematic "
         f"{_mm(rut['systematic'])}), sinkage {_mm(sinkage['mean'])} ± {_mm(sinkage['sigma'])} mm",
         f"systematic, by cause in mm: {causes}",
-        f"depths overlap; {result['determined']} of {result['places']} are determined",
-        *result["notes"],
+        f"depths overlap; {record['determined']} of {record['places']} are determined",
+        *record["notes"],
     ]
-    return [TextTable(headers, rows, title=f"Track on {result['terrain']['name']}", notes=notes)]
+    return [TextTable(headers, rows, title=f"Track on {record['terrain']['name']}", notes=notes)]
 
 
 def _mm(value: float | None) -> str:

@@ -10,8 +10,8 @@ from lunarsci.regolith.jobs.requests import CompareSoilsRequest
 from lunarsci.rovers import called
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import option
-from ..shared.report import Report
 from ..shared.table import TextTable
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ OPTIONS = {
     "cohesion": option(panel=GIVEN),
     "friction_angle": option(panel=GIVEN),
 }
-Found = Annotated[
+SiteResult = Annotated[
     str | None,
     typer.Argument(
         metavar="[RESULT.json]",
@@ -45,7 +45,7 @@ def add_to(app: typer.Typer) -> None:
     command(app, "compare", examples=EXAMPLES, request=CompareSoilsRequest, options=OPTIONS)(compare)
 
 
-def compare(request: CompareSoilsRequest, result: Found = None) -> Report:
+def compare(request: CompareSoilsRequest, result: SiteResult = None) -> Report:
     """The site beside terrestrial soils, simulants and lunar sites: who is most alike under a wheel.
 
     Distances are those of bearing pressure over 5-20 mm of sinkage and of shear strength over 2-10 kPa, as root
@@ -54,8 +54,8 @@ def compare(request: CompareSoilsRequest, result: Found = None) -> Report:
     """
     from lunarsci.regolith.jobs.compare_soils import compare_soils
 
-    found = compare_soils(result, request)
-    return Report.of(found, tables=result_tables(found))
+    compared = compare_soils(result, request)
+    return Report(compared, result_tables(compared))
 
 
 def result_tables(result: ComparedSoils) -> list[TextTable]:
@@ -63,15 +63,21 @@ def result_tables(result: ComparedSoils) -> list[TextTable]:
 
     from lunarsci.regolith.compare import WORDS, nearest
 
-    found, tables = result.soils, []
+    soils, tables = result.soils, []
     for aspect, title in (("bearing", "Alike in bearing"), ("strength", "Alike in shear strength")):
-        ordered = nearest(found, aspect)
+        ordered = nearest(soils, aspect)
         rows = [
-            [item.soil.name, item.soil.kind, f"{getattr(item, aspect):.2f}", *_range(item, aspect), *_own(item, aspect)]
+            [
+                item.soil.name,
+                item.soil.kind,
+                f"{getattr(item, aspect):.2f}",
+                *_range(item, aspect),
+                *_fitted(item, aspect),
+            ]
             for item in ordered[:SHOWN]
         ]
         ranged = ["68 %"] if any(_range(item, aspect) for item in ordered) else []
-        own = ["N", "k_c", "k_φ"] if aspect == "bearing" else ["c [Pa]", "φ [deg]"]
+        fitted = ["N", "k_c", "k_φ"] if aspect == "bearing" else ["c [Pa]", "φ [deg]"]
         wheel = (
             f"wheel of {called(result.rover, result.called)}, {1e3 * result.width_m:.0f} mm wide; "
             if aspect == "bearing"
@@ -83,7 +89,7 @@ def result_tables(result: ComparedSoils) -> list[TextTable]:
         notes += ["68 %: of the distance, over what the result leaves open of the site"] if ranged else []
         notes += [text for text in result.remarks if text.startswith(f"{WORDS[aspect]}:")]
         tables += (
-            [TextTable(["soil", "kind", "distance", *ranged, *own], rows, title=title, notes=notes)] if rows else []
+            [TextTable(["soil", "kind", "distance", *ranged, *fitted], rows, title=title, notes=notes)] if rows else []
         )
     return tables
 
@@ -93,7 +99,7 @@ def _range(item: SoilComparison, aspect: str) -> list[str]:
     return [f"{ends[0]:.2f} to {ends[1]:.2f}"] if ends else []
 
 
-def _own(item: SoilComparison, aspect: str) -> list[str]:
+def _fitted(item: SoilComparison, aspect: str) -> list[str]:
     soil = item.soil
     if aspect == "bearing":
         return ["-" if value is None else f"{value:g}" for value in (soil.sinkage_exponent, soil.k_c, soil.k_phi)]

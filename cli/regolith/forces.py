@@ -10,8 +10,8 @@ import typer
 from lunarsci.regolith.jobs.requests import WheelForcesRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import option
-from ..shared.report import Report
 from ..shared.table import TextTable
 
 if TYPE_CHECKING:
@@ -71,16 +71,16 @@ def forces(request: WheelForcesRequest) -> Report:
     """
     from lunarsci.regolith.jobs.wheel_forces import wheel_forces
 
-    found = wheel_forces(request)
-    return Report.of(found, tables=result_tables(found))
+    result = wheel_forces(request)
+    return Report(result, result_tables(result))
 
 
-def result_tables(found: ForcesOnWheel) -> list[TextTable]:
+def result_tables(result: ForcesOnWheel) -> list[TextTable]:
     """One state in full, or a curve over slip and what it is worth."""
-    rows = found.rows()
+    rows = result.rows()
     if len(rows) == 1:
         return [_table(rows[0])]
-    return [_curve(rows), *([] if found.traction is None else [_figures(found.traction)])]
+    return [_curve(rows), *([] if result.traction is None else [_figures(result.traction)])]
 
 
 def _table(row: Mapping[str, Any]) -> TextTable:
@@ -120,15 +120,15 @@ def _curve(rows: Sequence[Mapping[str, Any]]) -> TextTable:
     return TextTable([head for _, head, _, _ in shown], cells)
 
 
-def _figures(found: Traction) -> TextTable:
+def _figures(traction: Traction) -> TextTable:
     rows: list[tuple[str, float | None, str]] = [
-        ("pull at 20 % slip", found.pull_at_20_n, "N"),
-        ("pull per weight at 20 % slip", found.pull_per_weight_at_20, "-"),
-        ("tractive efficiency at 20 % slip", found.efficiency_at_20, "-"),
-        ("slope climbed at 20 % slip", found.slope_at_20_deg, "deg"),
-        ("slip without pull", found.self_propelled_slip, "-"),
-        ("best tractive efficiency", found.best_efficiency, "-"),
-        ("at a slip of", found.best_efficiency_slip, "-"),
+        ("pull at 20 % slip", traction.pull_at_20_n, "N"),
+        ("pull per weight at 20 % slip", traction.pull_per_weight_at_20, "-"),
+        ("tractive efficiency at 20 % slip", traction.efficiency_at_20, "-"),
+        ("slope climbed at 20 % slip", traction.slope_at_20_deg, "deg"),
+        ("slip without pull", traction.self_propelled_slip, "-"),
+        ("best tractive efficiency", traction.best_efficiency, "-"),
+        ("at a slip of", traction.best_efficiency_slip, "-"),
     ]
     cells = [[name, "none" if value is None else f"{value:.3g}", unit] for name, value, unit in rows]
     notes = ["the slope is that of wheels alone, each under its share of the load; a rover's weight shifts downhill"]

@@ -13,10 +13,10 @@ from lunarsci.regolith.jobs.identify import identify as identify_soil
 from lunarsci.regolith.jobs.requests import IdentifyRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import UNKNOWN, TextTable, plus_minus
+from ..shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.regolith.identify import Estimate, Identification, Sensitivity
@@ -90,40 +90,40 @@ def identify(states: States, request: IdentifyRequest, output: Output) -> Report
     """
 
     with progress("identifying", quiet=output.quiet) as update:
-        found = identify_soil(states, request, progress=update)
-    return Report.of(found, tables=result_tables(found))
+        soil = identify_soil(states, request, progress=update)
+    return Report(soil, result_tables(soil))
 
 
-def result_tables(found: IdentifiedSoil) -> list[TextTable]:
+def result_tables(soil: IdentifiedSoil) -> list[TextTable]:
     """Each state, where there are few; the site; where the errors come from."""
     return [
-        *_observation_tables(found.found, "Each state"),
-        _site_table(found, _site_title(found), NOTE, *read_as(found)),
-        *_shares(found),
+        *_observation_tables(soil.found, "Each state"),
+        _site_table(soil, _site_title(soil), NOTE, *read_as(soil)),
+        *_shares(soil),
     ]
 
 
-def single_tables(found: IdentifiedSoil, title: str) -> list[TextTable]:
+def single_tables(soil: IdentifiedSoil, title: str) -> list[TextTable]:
     """The same below the answer of all states together; `title` says what they assume."""
-    against = "; ".join(item.text for item in found.agreements if not item.agree)
+    against = "; ".join(item.text for item in soil.agreements if not item.agree)
     test = f"solved so, the states differ by more than their errors ({against})" if against else ""
     notes = [f"{test}: this tests what single states assume, not the soil above"] if test else []
-    states = _observation_tables(found.found, title)
-    middle = f"The middle of these states, {found.found.draws} draws each" if states else title
+    states = _observation_tables(soil.found, title)
+    middle = f"The middle of these states, {soil.found.draws} draws each" if states else title
     return [
         *states,
-        _site_table(found, middle, "errors are those of one state, as states scatter", *notes),
-        *_shares(found),
+        _site_table(soil, middle, "errors are those of one state, as states scatter", *notes),
+        *_shares(soil),
     ]
 
 
-def read_as(found: IdentifiedSoil) -> list[str]:
+def read_as(soil: IdentifiedSoil) -> list[str]:
     """How columns of the table were read."""
-    return [f"read as: {'; '.join(found.read_as)}"] if found.read_as else []
+    return [f"read as: {'; '.join(soil.read_as)}"] if soil.read_as else []
 
 
-def _shares(found: IdentifiedSoil) -> list[TextTable]:
-    return [] if found.shares is None else [_sensitivity_table(found.shares)]
+def _shares(soil: IdentifiedSoil) -> list[TextTable]:
+    return [] if soil.shares is None else [_sensitivity_table(soil.shares)]
 
 
 def _sensitivity_table(shares: Sequence[Sensitivity]) -> TextTable:
@@ -140,25 +140,25 @@ def _share(value: float | None) -> str:
     return "-" if value is None else f"{100 * value:.0f} %"
 
 
-def _observation_tables(found: Identification, title: str) -> list[TextTable]:
+def _observation_tables(made: Identification, title: str) -> list[TextTable]:
 
     from lunarsci.regolith.identify import Estimate
 
-    if len(found.observations) > MANY_STATES:
+    if len(made.observations) > MANY_STATES:
         return []
-    names = [name for name, value in found.observations[0].items() if isinstance(value, Estimate)]
+    names = [name for name, value in made.observations[0].items() if isinstance(value, Estimate)]
     headers = ["state", *(f"{SYMBOLS[name]} [{UNITS[name]}]" for name in names)]
-    rows = [[row["id"], *(_text(row[name], name) for name in names)] for row in found.observations]
+    rows = [[row["id"], *(_text(row[name], name) for name in names)] for row in made.observations]
     return [TextTable(headers, rows, title=title)]
 
 
 def _site_table(result: IdentifiedSoil, title: str, *notes: str) -> TextTable:
 
-    found = result.found
-    several = len(found.corners) > 1
+    made = result.found
+    several = len(made.corners) > 1
     names = [name for name in LABELS if not (several and name == "lateral_modulus_mm")]
-    rows = [_site_row(LABELS[name], found.site[name], name) for name in names]
-    for corner in found.corners if several else ():
+    rows = [_site_row(LABELS[name], made.site[name], name) for name in names]
+    for corner in made.corners if several else ():
         label = f"  φ_y at K_y = {corner['lateral_modulus_mm']:g} mm"
         rows.append(_site_row(label, corner["external_friction_angle_deg"], "external_friction_angle_deg"))
     return TextTable(["parameter", "value", "95 % interval", "unit", ""], rows, title=title, notes=notes)
@@ -172,8 +172,8 @@ def wheel_text(result: IdentifiedSoil) -> str:
 
 
 def _site_title(result: IdentifiedSoil) -> str:
-    found = result.found
-    return f"The site from {wheel_text(result)}, {found.draws} draws each, sign convention '{found.reading}'"
+    made = result.found
+    return f"The site from {wheel_text(result)}, {made.draws} draws each, sign convention '{made.reading}'"
 
 
 def _site_row(label: str, estimate: Estimate, name: str) -> list[str]:

@@ -11,10 +11,10 @@ import typer
 from lunarsci.regolith.jobs.requests import InferRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable, significant
+from ..shared.talk import progress
 from .identify import OPTIONS as SINGLE
 from .identify import States, read_as, single_tables, wheel_text
 
@@ -84,49 +84,49 @@ def infer(states: States, request: InferRequest, output: Output, posterior: Post
 
     output.check_extra("--posterior", posterior, (".csv", ".json"))
     with progress("the posterior", quiet=output.quiet) as update:
-        found = infer_soil(states, request, progress=update)
-    extras = {posterior: lambda: found.soils(posterior.suffix.lower())} if posterior else {}
-    return Report.of(found, tables=result_tables(found), extras=extras)
+        soil = infer_soil(states, request, progress=update)
+    extras = {posterior: lambda: soil.soils(posterior.suffix.lower())} if posterior else {}
+    return Report(soil, result_tables(soil), extras=extras)
 
 
-def result_tables(found: InferredSoil) -> list[TextTable]:
+def result_tables(soil: InferredSoil) -> list[TextTable]:
     """All states together, then what each gives by itself."""
     from lunarsci.regolith.jobs.identify import alone_title
 
-    return [*_joint_tables(found), *single_tables(found, alone_title(found.held))]
+    return [*_joint_tables(soil), *single_tables(soil, alone_title(soil.held))]
 
 
 def _joint_tables(soil: InferredSoil) -> list[TextTable]:
     """Parameters with their intervals, what is known of combinations, laws compared, forces predicted."""
-    found = soil.posterior
-    ends = found.intervals()
+    posterior = soil.posterior
+    ends = posterior.intervals()
     rows = []
-    for name in found.names:
+    for name in posterior.names:
         label, unit = LABELS[name]
         median, low, high, low95, high95 = ends[name]
-        left = f"{100 * (1 - found.shrinkage[name]):.0f} %"
-        known = "laws differ" if name in found.disputed else "determined" if name in found.determined else left
+        left = f"{100 * (1 - posterior.shrinkage[name]):.0f} %"
+        how = "laws differ" if name in posterior.disputed else "determined" if name in posterior.determined else left
         ranges = [f"{significant(one)} to {significant(other)}" for one, other in ((low, high), (low95, high95))]
-        rows.append([label, significant(median), *ranges, unit, known])
-    notes = [*_fit(found), *_combinations(found), OTHERS, *read_as(soil)]
-    if found.outliers:
-        notes.append(f"left out as outliers: {', '.join(found.outliers)}")
-    title = f"The soil of all {wheel_text(soil)}, intervals {HOW[found.how]}"
+        rows.append([label, significant(median), *ranges, unit, how])
+    notes = [*_fit(posterior), *_combinations(posterior), OTHERS, *read_as(soil)]
+    if posterior.outliers:
+        notes.append(f"left out as outliers: {', '.join(posterior.outliers)}")
+    title = f"The soil of all {wheel_text(soil)}, intervals {HOW[posterior.how]}"
     headers = ["parameter", "median", "68 %", "95 %", "unit", "width left of the prior's"]
     table = TextTable(headers, rows, title=title, notes=notes)
     return [table, *_laws(soil), *_predicted(soil)]
 
 
-def _fit(found: SoilPosterior) -> list[str]:
+def _fit(posterior: SoilPosterior) -> list[str]:
     """How well the law explains the states, in words."""
-    verdict = found.verdict
+    verdict = posterior.verdict
     reduced = "-" if verdict.reduced_chi_square is None else f"{verdict.reduced_chi_square:.2f}"
     source = "given" if verdict.model_error_from == "given" else "found from the residuals"
     shares = ", ".join(
         f"{name} {share:.3f}" for name, share in zip(("F_N", "F_DP", "F_L"), verdict.model_error, strict=True)
     )
     return [
-        f"law: {verdict.model}; chi-square {found.chi_square:.1f} of {found.degrees} forces, reduced {reduced}",
+        f"law: {verdict.model}; chi-square {posterior.chi_square:.1f} of {posterior.degrees} forces, reduced {reduced}",
         f"model error as a share of the load, {source}: {shares}",
         f"assumed: {'; '.join(verdict.assumed)}",
     ]
@@ -149,21 +149,21 @@ def _laws(soil: InferredSoil) -> list[TextTable]:
 
 
 def _predicted(soil: InferredSoil) -> list[TextTable]:
-    found = soil.predicted
-    if found is None:
+    predicted = soil.predicted
+    if predicted is None:
         return []
     rows = [
         [record["id"], *(f"{record[name]['value']:.1f} [{record[name]['low90']:.1f}, {record[name]['high90']:.1f}]"
                          for name in ("drawbar_pull_n", "lateral_force_n"))]
-        for record in found.records[:MOST_STATES]
+        for record in predicted.records[:MOST_STATES]
     ]  # fmt: skip
-    return [TextTable(["state", "F_DP [N], 90 %", "F_L [N], 90 %"], rows, title="Predicted", notes=found.notes())]
+    return [TextTable(["state", "F_DP [N], 90 %", "F_L [N], 90 %"], rows, title="Predicted", notes=predicted.notes())]
 
 
-def _combinations(found: SoilPosterior) -> Sequence[str]:
+def _combinations(posterior: SoilPosterior) -> Sequence[str]:
     """The best known directions, in words."""
     lines = []
-    for left, weights in found.combinations()[:MOST_SHOWN]:
+    for left, weights in posterior.combinations()[:MOST_SHOWN]:
         if left < SHOWN_SHARE:
             terms = [f"{value:+.1f} {name}" for name, value in weights.items() if abs(value) > SHOWN_WEIGHT]
             lines.append(

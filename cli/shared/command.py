@@ -21,9 +21,8 @@ from lunarsci.errors import BatchError, LunarSciError, LunarSciWarning, RequestE
 from lunarsci.io.atomic import written
 from lunarsci.provenance import Provenance, plain
 
-from .emit import emit, emit_failed
+from .emit import Report, emit, emit_failed
 from .options import CONFIG, FORM_OF, Output, RequestOption, computing_options, request_parameters, shared_options
-from .report import Report
 from .talk import interrupted, say
 
 
@@ -65,27 +64,26 @@ def command(
             path = chosen["path"]
             named = folder and (path is None or path.is_dir() or path.suffix.lower() not in FORM_OF)
             where = {key: chosen.pop(key) for key in blocks}
-            output = Output(**chosen, folder=named)
+            output, worded = Output(**chosen, folder=named), partial(_with_flags, context=context)
             try:
                 output.check()
                 with (
-                    _told_of_earlier_runs(output),
-                    heard_warnings(output, lambda text: _with_flags(text, context)) as heard,
+                    _earlier_runs_named(output),
+                    heard_warnings(output, worded) as heard,
                     _computing(output, where),
                 ):
                     handed = {key: value for key, value in options.items() if key not in fields}
                     if request is not None:
                         handed["request"] = request(**_fields(request, {key: options[key] for key in fields}))
                     report = function(**handed, **({"output": output} if wants_output else {}))
-                    report = report.with_reasons(lambda text: _with_flags(text, context))
+                    report = dataclasses.replace(report, worded=worded)
                     code = emit(report, output, _provenance(context, report, options, heard))
-            except RequestError as error:
-                raise typer.BadParameter(_with_flags(_noted(error), context)) from error
-            except BatchError as error:
-                emit_failed([one.worded(lambda text: _with_flags(text, context)) for one in error.failures], output)
-                raise BatchError(_with_flags(_noted(error), context), error.failures) from error
             except LunarSciError as error:
-                raise type(error)(_with_flags(_noted(error), context)) from error
+                text = worded(_noted(error))
+                if isinstance(error, BatchError):
+                    emit_failed([one.worded(worded) for one in error.failures], output)
+                    raise BatchError(text, error.failures) from error
+                raise (typer.BadParameter if isinstance(error, RequestError) else type(error))(text) from error
             except KeyboardInterrupt as error:
                 say("; ".join(["interrupted", *getattr(error, "__notes__", [written()])]))
                 raise typer.Exit(interrupted()) from None
@@ -107,7 +105,7 @@ def paragraphs(function: Callable[..., Any]) -> str:
 
 
 @contextmanager
-def _told_of_earlier_runs(output: Output) -> Iterator[None]:
+def _earlier_runs_named(output: Output) -> Iterator[None]:
     """Where a command fails, say which of its files are of an earlier run: they could be taken for its own."""
     before = {path: _state(path) for path in (output.path, output.plot, output.failed) if path}
     try:
@@ -123,10 +121,10 @@ def _told_of_earlier_runs(output: Output) -> Iterator[None]:
 def _state(path: Path) -> tuple[int, int] | None:
     """What changes of a file or folder when it is written anew; None where there is none."""
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return None
-    return found.st_ino, found.st_mtime_ns
+    return status.st_ino, status.st_mtime_ns
 
 
 @contextmanager
@@ -154,7 +152,7 @@ def _fields(request: type, options: Mapping[str, Any]) -> dict[str, Any]:
 def _with_flags(message: str, context: typer.Context) -> str:
     """The message with names of options in backticks as they are typed."""
     flags = {str(item.name): max(item.opts, key=len) for item in context.command.params}
-    return re.sub(r"`(\w+)`", lambda found: flags.get(found[1], found[0]), message)
+    return re.sub(r"`(\w+)`", lambda name: flags.get(name[1], name[0]), message)
 
 
 def _extended(
@@ -163,24 +161,25 @@ def _extended(
     shared_options: Mapping[str, tuple[Any, Any]],
 ) -> inspect.Signature:
     taken = ("output", "request") if asked else ("output",)
-    own = [p.replace(kind=p.KEYWORD_ONLY) for p in signature.parameters.values() if p.name not in taken]
+    positional = [p.replace(kind=p.KEYWORD_ONLY) for p in signature.parameters.values() if p.name not in taken]
     context = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
     config = inspect.Parameter("config", inspect.Parameter.KEYWORD_ONLY, annotation=CONFIG, default=None)
     shared = [
         inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, annotation=annotation, default=default)
         for key, (annotation, default) in shared_options.items()
     ]
-    return inspect.Signature([context, *own, *asked, *shared, config], return_annotation=None)
+    return inspect.Signature([context, *positional, *asked, *shared, config], return_annotation=None)
 
 
 def _provenance(context: typer.Context, report: Report, options: Mapping[str, Any], heard: list[str]) -> Provenance:
+    made = report.result.made_from
     return Provenance(
         command=context.command_path,
-        options={key: plain(value) for key, value in options.items()} | dict(report.options),
-        inputs=report.inputs,
-        tables=report.data_tables,
-        sources=report.sources,
-        seed=report.seed,
+        options={key: plain(value) for key, value in options.items()} | dict(made.options),
+        inputs=made.inputs,
+        tables=made.tables,
+        sources=made.sources,
+        seed=made.seed,
         warnings=heard,
         untrusted=report.untrusted,
         failures=report.failures,
@@ -188,12 +187,12 @@ def _provenance(context: typer.Context, report: Report, options: Mapping[str, An
 
 
 @contextmanager
-def heard_warnings(output: Output, told: Callable[[str], str] = str) -> Iterator[list[str]]:
-    """Collect lunarsci's warnings, each once and as `told` words it, and say them on stderr as they come."""
+def heard_warnings(output: Output, worded: Callable[[str], str] = str) -> Iterator[list[str]]:
+    """Collect lunarsci's warnings, each once and as `worded` has it, and say them on stderr as they come."""
     heard: list[str] = []
 
     def hear(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
-        text = told(str(message))
+        text = worded(str(message))
         if issubclass(category, LunarSciWarning) and text not in heard:
             heard.append(text)
             say(f"warning: {text}", quiet=output.quiet)

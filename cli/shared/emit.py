@@ -1,8 +1,10 @@
-"""Write a report: pictures and files first, so that nothing is printed when one of them cannot be written."""
+"""What a command hands over, and how it is written: pictures and files before anything is printed."""
 
 import json
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,16 +16,25 @@ from lunarsci.names import meant, some_of
 from lunarsci.printable import printable
 from lunarsci.provenance import Provenance, document, json_chunks, plain
 
-from .layout import terminal_width
 from .options import Output
-from .printing import FORMATS, chosen, chosen_csv, render, to_csv
-from .report import Report
-from .table import MOST_VERDICTS, SAYS
-from .talk import UNTRUSTED, say
+from .table import (
+    FORMATS,
+    MOST_VERDICTS,
+    SAYS,
+    TextTable,
+    chosen,
+    chosen_csv,
+    names_of,
+    render,
+    terminal_width,
+    to_csv,
+)
+from .talk import FAILED, UNTRUSTED, say
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from lunarsci.result import Result
 
 NAMED = 5
 """Failed inputs that are named at the end."""
@@ -34,16 +45,80 @@ OF_SPECTRA = {"lunarsci/spectra-fit/1": "fit_doubt", "lunarsci/spectra-unmix/1":
 """Results of which each spectrum says itself whether it is to be trusted, and what in `verdicts` tells it."""
 
 
+@dataclass(frozen=True)
+class Report:
+    """A job's result, and what its command has beside it, before it is known how it will be shown.
+
+    Attributes
+    ----------
+    result : of the job.
+    tables : the same for people, or what makes it, where that takes time that a file need not wait for.
+    pictures : further pictures that were asked for, by the file that takes them.
+    extras : further files that were asked for, such as films, by name.
+    formats : file suffixes of `--output` beyond .json and .csv, with what makes such a file from the provenance.
+    files : for commands that fill a folder: file name to what makes its content.
+    written : files that the job wrote itself, since they may not fit into memory; the result then goes to stdout.
+    raw : makes a text that is the result itself, such as a file to begin with, and is shown as it is.
+    stored : document of a result that is there, which paths of `--field` lead into that begin with `result`.
+    worded : how reasons are worded: options as they are typed.
+    """
+
+    result: "Result"
+    tables: Sequence[TextTable] | Callable[[], Sequence[TextTable]]
+    pictures: "Mapping[Path, Callable[[], Iterable[Figure]]]" = field(default_factory=dict)
+    extras: Mapping[Path, Callable[[], bytes]] = field(default_factory=dict)
+    formats: Mapping[str, Callable[[Mapping[str, Any]], bytes]] = field(default_factory=dict)
+    files: Mapping[str, Callable[[], bytes]] = field(default_factory=dict)
+    written: Sequence[Path] = ()
+    raw: Callable[[], str] | None = None
+    stored: Mapping[str, Any] | None = None
+    worded: Callable[[str], str] = str
+
+    @cached_property
+    def content(self) -> Mapping[str, Any]:
+        """The result, keys with their units; in plain Python, but that long lists may be `Records`."""
+        content = self.result.content()
+        lines = content.get("read_as")
+        return {**content, "read_as": [*map(self.worded, lines)]} if isinstance(lines, list | tuple) else content
+
+    @cached_property
+    def untrusted(self) -> str:
+        return self.worded(self.result.untrusted)
+
+    @cached_property
+    def failures(self) -> Sequence[Failure]:
+        return [one.worded(self.worded) for one in self.result.failures]
+
+    @cached_property
+    def shown(self) -> Sequence[TextTable]:
+        """The tables, made."""
+        return self.tables() if callable(self.tables) else self.tables
+
+    def rows_with(self, columns: Sequence[str]) -> Sequence[Mapping[str, Any]]:
+        """The rows for some columns of `--csv`: one of each thing, unless one of them is a column of its parts."""
+        each = self.result.rows_each() if columns else ()
+        names = {name.casefold() for name in names_of(each)}
+        return each if columns and names.issuperset(name.casefold() for name in columns) else self.result.rows()
+
+    @property
+    def exit_code(self) -> int:
+        """0 done, 1 some input failed, 3 finished but not to be trusted or not safe."""
+        if self.failures:
+            return FAILED
+        return UNTRUSTED if self.untrusted else 0
+
+
 def emit(report: Report, output: Output, provenance: Provenance) -> int:
     """Write the pictures and the result, then say what was written and what to know about it; the exit code.
 
     Where a picture fails, the other files that were asked for are written before the error is passed on.
     """
+    result = report.content  # first: what it warns of belongs into the record
     contents: dict[Path, bytes | Iterable[bytes]] = {}
     failed: Exception | None = None
     try:
         if output.plot:
-            contents[output.plot] = _picture(report.figures, output.plot)
+            contents[output.plot] = _plot(report.result, output.plot)
         contents |= {target: _picture(draw, target) for target, draw in report.pictures.items()}
     except Exception as error:
         failed = error
@@ -51,13 +126,13 @@ def emit(report: Report, output: Output, provenance: Provenance) -> int:
     if output.failed:
         contents[output.failed] = _listed(report.failures)
     record = provenance.to_dict(time=not output.no_time)
-    whole = {"provenance": record, "schema": f"lunarsci/{report.schema}"}
+    whole = {"provenance": record, "schema": f"lunarsci/{report.result.schema}"}
     value, doubt = ("", "") if output.field_path is None else field_of(report, output.field_path, whole)
     made = _as_file(report, output, record)
     text: Iterable[bytes] = [value.encode()] if value else () if made else _as_text(report, output, record)
     if output.path and output.folder:
         contents.update({output.path / name: make() for name, make in report.files.items()})
-        contents[output.path / "result.json"] = json_chunks(document(report.schema, report.result, record))
+        contents[output.path / "result.json"] = json_chunks(document(report.result.schema, result, record))
     elif output.path and not report.written:
         contents[output.path] = made or text
     write_files(contents, force=output.force, folder=output.path if output.folder else None)
@@ -117,35 +192,34 @@ def _verdicts(report: Report, record: Mapping[str, Any]) -> list[str]:
     from lunarsci.pages.answers import ANSWERS, answer
     from lunarsci.pages.documents import Document
 
-    found = Document("", report.schema, report.result, record)
-    many = max(len(report.result.get(name, ())) for name in ("spectra", "rocks"))
-    if found.kind not in ANSWERS or many > MOST_ANSWERED:
+    made = Document("", report.result.schema, report.content, record)
+    many = max(len(report.content.get(name, ())) for name in ("spectra", "rocks"))
+    if made.kind not in ANSWERS or many > MOST_ANSWERED:
         return []
-    said: list[str] = []
-    if 0 < len(report.result.get("spectra", ())) <= MOST_VERDICTS:
-        tables = report.tables() if callable(report.tables) else report.tables
-        said = [note for table in tables if table.title == SAYS for note in table.notes]
+    verdicts: list[str] = []
+    if 0 < len(report.content.get("spectra", ())) <= MOST_VERDICTS:
+        verdicts = [note for table in report.shown if table.title == SAYS for note in table.notes]
     try:
-        told = answer(found)
+        summary = answer(made)
     except DataError:  # the result is written: a sentence that cannot be made is no failure
-        return said
-    trusted = [] if report.untrusted or report.failures else [told.trust]
-    return [*(said or [told.text]), *trusted]
+        return verdicts
+    trusted = [] if report.untrusted or report.failures else [summary.trust]
+    return [*(verdicts or [summary.text]), *trusted]
 
 
 def _counted(report: Report, failed: str | Path | None) -> str:
     """How many spectra of a batch have a result, and how many inputs, or single spectra of them, have none."""
     names = list(dict.fromkeys(failure.input for failure in report.failures))
-    key = next((key for key in ("spectra", "rocks") if key in report.result), "")
-    count = len(report.result[key]) if key else 0
+    key = next((key for key in ("spectra", "rocks") if key in report.content), "")
+    count = len(report.content[key]) if key else 0
     noun = {"spectra": "spectrum", "rocks": "rock"}[key] if count == 1 else key
-    found = f"{count} {noun} with a result, " if key else ""
+    results = f"{count} {noun} with a result, " if key else ""
     single = sum(bool(one.spectrum) for one in report.failures)
     whole = len({one.input for one in report.failures if not one.spectrum})
     counts = [f"{whole} input{'s' if whole > 1 else ''}"] if whole else []
     counts += [f"{single} single spectr{'a' if single > 1 else 'um'}"] if single else []
     without = f"{' and '.join(counts)} without"
-    return f"{found}{without}: {some_of(names, NAMED)}; all of them: {failed or '--failed FILE'}"
+    return f"{results}{without}: {some_of(names, NAMED)}; all of them: {failed or '--failed FILE'}"
 
 
 def _as_file(report: Report, output: Output, record: Mapping[str, Any]) -> bytes | None:
@@ -160,15 +234,13 @@ def _as_file(report: Report, output: Output, record: Mapping[str, Any]) -> bytes
 def _as_text(report: Report, output: Output, record: Mapping[str, Any]) -> Iterable[bytes]:
     """The result as it is wanted, in pieces."""
     if output.wanted == "json":
-        return json_chunks(document(report.schema, report.result, record))
+        return json_chunks(document(report.result.schema, report.content, record))
     if output.wanted == "csv":
-        if report.rows is None:
-            raise RequestError("this result is no table; use --json")
-        rows = report.rows_with(output.chosen) or ()
-        return chosen_csv(rows, output.chosen) if output.chosen else to_csv(report.rows)
+        rows = report.rows_with(output.chosen)
+        return chosen_csv(rows, output.chosen) if output.chosen else to_csv(rows)
     if report.raw is not None and output.wanted == "text" and not output.chosen:
         return [report.raw().encode()]
-    tables = report.tables() if callable(report.tables) else report.tables
+    tables = report.shown
     tables = chosen(tables, report.rows_with(output.chosen), output.chosen) if output.chosen else tables
     if output.wanted != "text":
         return [FORMATS[output.wanted](tables).encode()]
@@ -186,8 +258,8 @@ def field_of(report: Report, path: str, whole: Mapping[str, Any]) -> tuple[str, 
 
     steps = path.split(".")
     stored = report.stored if report.stored and steps[0] in ("result", "provenance") and len(steps) > 1 else None
-    own = stored["result"] if stored else report.result
-    value, doubt = _opened(own), ""
+    result = stored["result"] if stored else report.content
+    value, doubt = _opened(result), ""
     if steps[0] in whole and steps[0] not in value:
         value = stored or whole
     steps = steps[1:] if steps[0] == "result" else steps
@@ -200,29 +272,29 @@ def field_of(report: Report, path: str, whole: Mapping[str, Any]) -> tuple[str, 
             value = _opened(value[int(step)] if _is_list(value) else value[step])
         except (KeyError, IndexError, ValueError, TypeError):
             if isinstance(value, dict) and depth and _could_be(step, steps[:depth], top, report):
-                value, doubt = None, f"no '{step}' here; there is: {_known(value)}"
+                value, doubt = None, f"no '{step}' here; there is: {_names_in(value)}"
                 break
             near = meant(step, value) if isinstance(value, dict) else ""
-            inside = _path_to(steps[-1], _opened(own))
+            inside = _path_to(steps[-1], _opened(result))
             near = f"did you mean '{inside}'? " if inside else near
-            known = f"{near}there is: {_known(value)}"
-            raise typer.BadParameter(f"--field {path}: no '{step}' at level {depth + 1}; {known}") from None
-    found = plain(value)
-    number = isinstance(found, int | float) and not isinstance(found, bool)
-    if found is None:
+            choices = f"{near}there is: {_names_in(value)}"
+            raise typer.BadParameter(f"--field {path}: no '{step}' at level {depth + 1}; {choices}") from None
+    bare = plain(value)
+    number = isinstance(bare, int | float) and not isinstance(bare, bool)
+    if bare is None:
         doubt = f"--field {path}: no value{f': {doubt}' if doubt else ''}"
     elif doubt:
         doubt = f"--field {path}: not to be used: {doubt}" if number else ""
-    text = found if isinstance(found, str) else json.dumps(found, sort_keys=True, ensure_ascii=False)
-    return f"{text}\n", doubt or (_doubt_kept(stored, steps) if stored and path.startswith("result") else "")
+    text = bare if isinstance(bare, str) else json.dumps(bare, sort_keys=True, ensure_ascii=False)
+    return f"{text}\n", doubt or (_stored_doubt(stored, steps) if stored and path.startswith("result") else "")
 
 
-def _doubt_kept(stored: Mapping[str, Any], steps: Sequence[str]) -> str:
+def _stored_doubt(stored: Mapping[str, Any], steps: Sequence[str]) -> str:
     """Why a value of a stored result is not to be trusted: below one of many fits as that one is not, else as all."""
-    kept = str((stored.get("provenance") or {}).get("untrusted") or "")
+    untrusted = str((stored.get("provenance") or {}).get("untrusted") or "")
     teller = OF_SPECTRA.get(str(stored.get("schema")))
-    if not kept or teller is None or len(steps) < 2 or steps[0] != "spectra":
-        return kept
+    if not untrusted or teller is None or len(steps) < 2 or steps[0] != "spectra":
+        return untrusted
     from lunarsci.spectra.jobs import verdicts
 
     doubt: str = getattr(verdicts, teller)(stored["result"]["spectra"][int(steps[1])])
@@ -231,7 +303,7 @@ def _doubt_kept(stored: Mapping[str, Any], steps: Sequence[str]) -> str:
 
 def _could_be(step: str, above: Sequence[str], top: Any, report: Report) -> bool:
     """Whether a name that is lacking below a path is one of this kind of result: of other things in its lists too."""
-    return step in report.may_have(above[-1]) or any(step in peer for peer in _peers(top, above))
+    return step in report.result.may_have(above[-1]) or any(step in peer for peer in _peers(top, above))
 
 
 def _peers(value: Any, steps: Sequence[str]) -> Iterator[Mapping[str, Any]]:
@@ -270,15 +342,21 @@ def _is_list(value: Any) -> bool:
     return isinstance(value, Sequence) and not isinstance(value, str | tuple)
 
 
-def _known(value: Any) -> str:
+def _names_in(value: Any) -> str:
     if isinstance(value, dict):
         return ", ".join(sorted(value))
     return f"0 to {len(value) - 1}" if _is_list(value) and value else "nothing below it"
 
 
-def _picture(draw: "Callable[[], Iterable[Figure]] | None", target: Path) -> bytes:
-    if draw is None:
+def _plot(result: "Result", target: Path) -> bytes:
+    from lunarsci.result import Result
+
+    if type(result).figures is Result.figures:
         raise RequestError("there is nothing to draw; leave --plot out")
+    return _picture(result.figures, target)
+
+
+def _picture(draw: "Callable[[], Iterable[Figure]]", target: Path) -> bytes:
     from lunarsci.figure import picture_bytes
 
     return picture_bytes(draw(), target)

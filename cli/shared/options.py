@@ -69,12 +69,8 @@ class Output:
     def check(self) -> None:
         """Refuse contradictory or impossible requests before anything is computed."""
         self._check_form()
-        if self.plot:
-            _check_suffix("--plot", self.plot)
         if self.path is not None and str(self.path) in ("", "."):
             raise typer.BadParameter("--output is empty; give a name")
-        if self.path and self.plot and self.path.resolve() == self.plot.resolve():
-            raise typer.BadParameter(f"--output and --plot both name {self.path}; give two names")
         if self.path and self.folder:
             if self.path.suffix.lower() in OF_FOLDERS and not self.path.is_dir():
                 raise typer.BadParameter(
@@ -84,8 +80,7 @@ class Output:
             check_folder(self.path, force=self.force)
         elif self.path:
             check_target(self.path, force=self.force)
-        if self.plot:
-            check_target(self.plot, force=self.force)
+        self.check_extra("--plot", self.plot)
         self.check_extra("--failed", self.failed, ())
 
     def _check_form(self) -> None:
@@ -104,20 +99,15 @@ class Output:
             raise typer.BadParameter("--columns names columns of a table; give some, and no --json or --field")
 
     def check_extra(self, name: str, path: Path | None, suffixes: Sequence[str] = PLOT_SUFFIXES) -> None:
-        """The same for a further file of the option `name`, beside those of --output and --plot."""
+        """The same for the file of another option, beside those of --output and --plot."""
         if path is None:
             return
-        if suffixes:
-            _check_suffix(name, path, suffixes)
+        if suffixes and path.suffix.lower() not in suffixes:
+            raise typer.BadParameter(f"{name} {path}: the name must end in {', '.join(suffixes)}")
         for other, taken in (("--output", self.path), ("--plot", self.plot)):
-            if taken and taken.resolve() == path.resolve():
+            if other != name and taken and taken.resolve() == path.resolve():
                 raise typer.BadParameter(f"{other} and {name} both name {path}; give two names")
         check_target(path, force=self.force)
-
-
-def _check_suffix(name: str, path: Path, suffixes: Sequence[str] = PLOT_SUFFIXES) -> None:
-    if path.suffix.lower() not in suffixes:
-        raise typer.BadParameter(f"{name} {path}: the name must end in {', '.join(suffixes)}")
 
 
 def _option(kind: Any, *names: str, text: str, metavar: str | None = None) -> Any:
@@ -205,16 +195,16 @@ def _load_config(context: typer.Context, value: Path | None) -> Path | None:
         settings = toml_document(value.read_text("utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise typer.BadParameter(f"{value}: not a readable TOML file: {error}") from error
-    known = {_option_name(parameter): parameter for parameter in context.command.params}
+    parameters = {_option_name(parameter): parameter for parameter in context.command.params}
     defaults = {}
     for key, setting in _of_this_command(settings, context, value).items():
         name = key.replace("_", "-")
-        if name not in known or name == "config":
-            others = sorted(set(known) - {"config"})
+        if name not in parameters or name == "config":
+            others = sorted(set(parameters) - {"config"})
             message = f"'{key}' is no option here; {one_of(name, others)}"
             raise typer.BadParameter(f"{value}: {message}")
-        alone = isinstance(setting, str) and getattr(known[name], "multiple", False)
-        defaults[str(known[name].name)] = [setting] if alone else setting
+        alone = isinstance(setting, str) and getattr(parameters[name], "multiple", False)
+        defaults[str(parameters[name].name)] = [setting] if alone else setting
     context.default_map = defaults
     return value
 
@@ -229,14 +219,14 @@ def _of_this_command(settings: Mapping[str, Any], context: typer.Context, file: 
     while above is not None:
         contexts.insert(0, above)
         above = above.parent
-    found = {key: setting for key, setting in settings.items() if not isinstance(setting, dict)}
+    shared = {key: setting for key, setting in settings.items() if not isinstance(setting, dict)}
     table: Any = settings
     for word, here in zip(context.command_path.split()[1:], contexts, strict=False):
-        known = list(here.command.commands)
-        if wrong := next((key for key, inner in table.items() if isinstance(inner, dict) and key not in known), None):
-            raise typer.BadParameter(f"{file}: [{wrong}] is no command here; {one_of(wrong, known)}")
+        names = list(here.command.commands)
+        if wrong := next((key for key, inner in table.items() if isinstance(inner, dict) and key not in names), None):
+            raise typer.BadParameter(f"{file}: [{wrong}] is no command here; {one_of(wrong, names)}")
         table = table.get(word, {})
-    return found | {key: setting for key, setting in table.items() if not isinstance(setting, dict)}
+    return shared | {key: setting for key, setting in table.items() if not isinstance(setting, dict)}
 
 
 def _option_name(parameter: Any) -> str:

@@ -11,10 +11,10 @@ import typer
 from lunarsci.spectra.jobs.requests import BandsRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import BLOCKS, Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import SHOWN, TextTable, bare, counted, plus_minus, verdict_table
+from ..shared.talk import progress
 from .options import ONLY, UNITS, Files
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def bands(files: Files, request: BandsRequest, output: Output, plane: Plane = No
     output.check_extra("--plane", plane)
     with progress("measuring bands", quiet=output.quiet) as update:
         result = bands(files, request, progress=update)
-    return Report.of(result, lambda: result_tables(result), pictures={plane: result.plane} if plane else {})
+    return Report(result, lambda: result_tables(result), pictures={plane: result.plane} if plane else {})
 
 
 def result_tables(result: MeasuredBands) -> list[TextTable]:
@@ -101,8 +101,8 @@ def _centre_and_spread(record: Mapping[str, Any], key: str) -> list[str]:
 
 def _band_notes(result: MeasuredBands, records: Sequence[Mapping[str, Any]]) -> list[str]:
     names = {"1000": "1 µm", "2000": "2 µm"}
-    found = sorted((f"{names[key]} band: {text}", place, own) for place, own, key, text in result.remarks())
-    lines, owners = [line for line, _, _ in found], [own for _, _, own in found]
+    remarks = sorted((f"{names[key]} band: {text}", place, owner) for place, owner, key, text in result.remarks())
+    lines, owners = [line for line, _, _ in remarks], [owner for _, _, owner in remarks]
     return counted(lines, len(records), "spectra", owners) + (_shared_errors(records[0]) if len(records) == 1 else [])
 
 

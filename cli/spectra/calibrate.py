@@ -10,10 +10,10 @@ import typer
 from lunarsci.spectra.jobs.requests import CalibrateRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable, counted, plus_minus
+from ..shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.spectra.jobs.calibrate import Calibrations
@@ -58,12 +58,12 @@ def calibrate(files: Products, request: CalibrateRequest, output: Output) -> Rep
     with progress("calibrating", quiet=output.quiet) as update:
         result = calibrate(files, request, progress=update)
     formats = {".ecsv": result.to_ecsv, ".fits": result.to_fits}
-    return Report.of(result, result_tables(result), formats=formats)
+    return Report(result, result_tables(result), formats=formats)
 
 
-def result_tables(found: Calibrations) -> list[TextTable]:
+def result_tables(result: Calibrations) -> list[TextTable]:
     """The observations, a line each."""
-    return [_table(found.observations)]
+    return [_table(result.observations)]
 
 
 def _table(good: Sequence[Calibration]) -> TextTable:
@@ -71,8 +71,8 @@ def _table(good: Sequence[Calibration]) -> TextTable:
         "observation", "i [deg]", "e [deg]", "g [deg]", "Sun [AU]", "lit pixels", "step", "gain", "R at 750 nm",
         "shared [%]", "masked",
     ]  # fmt: skip
-    said = [(note, item.id) for item in good for note in item.notes]
-    notes = counted([note for note, _ in said], len(good), "observations", [name for _, name in said])
+    notes_by_id = [(note, item.id) for item in good for note in item.notes]
+    notes = counted([note for note, _ in notes_by_id], len(good), "observations", [name for _, name in notes_by_id])
     return TextTable(headers, [_row(item) for item in good], notes=notes)
 
 

@@ -15,10 +15,10 @@ from lunarsci.spectra.mgm.batch import compositions
 from lunarsci.spectra.mgm.result import FittedBand, MgmFit
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import BLOCKS, Output, RequestOption, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import SHOWN, UNKNOWN, TextTable, plus_minus, verdict_table
+from ..shared.talk import progress
 from .options import ONLY, UNITS, Files
 
 if TYPE_CHECKING:
@@ -69,40 +69,40 @@ def fit_spectra(files: Files, request: FitRequest, output: Output) -> Report:
 
     to_file = output.path is not None and output.path.suffix.lower() == ".fit"
     with progress("fitting", quiet=output.quiet) as update:
-        found = fit(files, replace(request, to_fit_file=to_file), progress=update)
-    return Report.of(found, lambda: result_tables(found), formats={".fit": lambda _: found.fit_file().encode()})
+        fits = fit(files, replace(request, to_fit_file=to_file), progress=update)
+    return Report(fits, lambda: result_tables(fits), formats={".fit": lambda _: fits.fit_file().encode()})
 
 
-def result_tables(found: MgmFits) -> list[TextTable]:
+def result_tables(fits: MgmFits) -> list[TextTable]:
     """The fits, and what they say."""
     from lunarsci.spectra.jobs.verdicts import fit_verdict, fits_counted
 
-    return [*fit_tables(found), *verdict_table(found.records, fit_verdict, fits_counted)]
+    return [*fit_tables(fits), *verdict_table(fits.records, fit_verdict, fits_counted)]
 
 
-def fit_tables(found: MgmFits) -> list[TextTable]:
+def fit_tables(fits: MgmFits) -> list[TextTable]:
     """An overview, and of one spectrum alone its bands, intervals, choice and shares."""
-    alone = len(found.records) == 1 and bool(found.good)
-    record = found.records[0]
+    alone = len(fits.records) == 1 and bool(fits.good)
+    record = fits.records[0]
     overview = TextTable(
         ["spectrum", "assemblage", "rms ln R [%]", "NBSR 1 µm OPX", "NBSR 2 µm OPX", "status"],
-        [_overview_row(record) for record in found.records[:SHOWN]],
-        total=len(found.records),
-        notes=_notes(record, found.good[0]) if alone else _not_shown(found),
+        [_overview_row(record) for record in fits.records[:SHOWN]],
+        total=len(fits.records),
+        notes=_notes(record, fits.good[0]) if alone else _not_shown(fits),
     )
     if not alone:
         return [overview]
-    tables = [_bands_table(found.good[0]), overview]
+    tables = [_bands_table(fits.good[0]), overview]
     tables += [_intervals_table(record["intervals"])] if record["intervals"] else []
     tables += [_choice_table(record["choice"])] if record["choice"] else []
-    tables += [_abundance_table(found.abundances[0])] if found.abundances.get(0) else []
+    tables += [_abundance_table(fits.abundances[0])] if fits.abundances.get(0) else []
     return tables
 
 
-def _not_shown(found: MgmFits) -> list[str]:
-    there = bool(found.intervals)
+def _not_shown(fits: MgmFits) -> list[str]:
+    there = bool(fits.intervals)
     notes = ["bands and intervals of several spectra: --csv or --json"] if there else ["bands: --csv or --json"]
-    assumed = not (found.choices or found.request.start)
+    assumed = not (fits.choices or fits.request.start)
     return notes + (["the assemblage was assumed; --assemblage auto compares all"] if assumed else [])
 
 
@@ -122,18 +122,18 @@ def _notes(record: Mapping[str, Any], fit: MgmFit) -> list[str]:
 def _shared_in_ratios(record: Mapping[str, Any], *, with_shared: bool) -> list[str]:
     notes = []
     ratios = {name: (record["nbsr"] or {}).get(region) for region, name in (("um1", "1 µm"), ("um2", "2 µm"))}
-    known = {name: ratio for name, ratio in ratios.items() if ratio}
+    given = {name: ratio for name, ratio in ratios.items() if ratio}
     parts = [
         f"± {r['calibration']:.2g} at {name}" if r["calibration"] < 1 else f"more than they can be at {name}"
-        for name, r in known.items()
+        for name, r in given.items()
         if r["calibration"] is not None
     ]
     notes += [f"calibration errors, which all channels share, add to the ratios {', '.join(parts)}"] if parts else []
-    lost = [name for name, r in known.items() if r["calibration"] is None] if with_shared else []
+    lost = [name for name, r in given.items() if r["calibration"] is None] if with_shared else []
     notes += [f"what calibration errors add to the ratios is not determined at {', '.join(lost)}"] if lost else []
     ends = [
         f"{r['continuum_low']:.2f} to {r['continuum_high']:.2f} at {name}"
-        for name, r in known.items()
+        for name, r in given.items()
         if r["continuum_low"] is not None
     ]
     return notes + ([f"other continua give ratios of OPX from {', '.join(ends)}"] if ends else [])
@@ -235,7 +235,7 @@ def _choice_table(choice: Mapping[str, Any]) -> TextTable:
     return TextTable(headers, rows, title="assemblages, the most probable first", notes=notes)
 
 
-def _abundance_table(found: Sequence[Abundance]) -> TextTable:
+def _abundance_table(abundances: Sequence[Abundance]) -> TextTable:
     rows = [
         [
             modes.method,
@@ -244,15 +244,15 @@ def _abundance_table(found: Sequence[Abundance]) -> TextTable:
             f"{100 * share.low:.0f} to {100 * share.high:.0f}",
             f"{100 * share.low95:.0f} to {100 * share.high95:.0f}",
         ]
-        for modes in found
+        for modes in abundances
         for share in modes.fractions
     ]
-    notes = [f"{modes.method}: {modes.status}" for modes in found] + not_weighed(found)
+    notes = [f"{modes.method}: {modes.status}" for modes in abundances] + not_weighed(abundances)
     return TextTable(["method", "mineral", "share [%]", "68 %", "95 %"], rows, title="mineral shares", notes=notes)
 
 
-def not_weighed(found: Sequence[Abundance]) -> list[str]:
+def not_weighed(abundances: Sequence[Abundance]) -> list[str]:
     """That shares are of the minerals named alone, by method, where any share is told."""
-    told = [modes for modes in found if modes.determined and modes.not_weighed]
-    beside = {modes.method: ", ".join(modes.not_weighed) for modes in told}
+    shown = [modes for modes in abundances if modes.determined and modes.not_weighed]
+    beside = {modes.method: ", ".join(modes.not_weighed) for modes in shown}
     return [f"{method}: of these minerals alone; {names} not weighed, may be much" for method, names in beside.items()]

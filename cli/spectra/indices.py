@@ -9,8 +9,8 @@ import typer
 from lunarsci.spectra.jobs.requests import IndicesRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import option
-from ..shared.report import Report
 from ..shared.table import SHOWN, TextTable, plus_minus
 from .options import ONLY, UNITS, Files
 
@@ -46,34 +46,34 @@ def indices(files: Files, request: IndicesRequest) -> Report:
     """
     from lunarsci.spectra.jobs.indices import indices
 
-    found = indices(files, request)
-    return Report.of(found, result_tables(found))
+    result = indices(files, request)
+    return Report(result, result_tables(result))
 
 
-def result_tables(found: FoundIndices) -> list[TextTable]:
+def result_tables(result: FoundIndices) -> list[TextTable]:
     """One spectrum in full, of several a line each."""
-    return [_one(found) if len(found.batch.spectra) == 1 else _many(found)]
+    return [_one(result) if len(result.batch.spectra) == 1 else _many(result)]
 
 
-def _one(found: FoundIndices) -> TextTable:
+def _one(result: FoundIndices) -> TextTable:
 
     from lunarsci.spectra.indices import INDICES
 
-    record = found.records()[0]
+    record = result.records()[0]
     rows = [
-        [_title(INDICES[name]), _cell(record[name]), _remark(INDICES[name], record[name])] for name in found.columns
+        [_title(INDICES[name]), _cell(record[name]), _remark(INDICES[name], record[name])] for name in result.columns
     ]
     return TextTable(["index", "value", ""], rows, title=record["id"], notes=_notes())
 
 
-def _many(found: FoundIndices) -> TextTable:
+def _many(result: FoundIndices) -> TextTable:
 
     from lunarsci.spectra.indices import INDICES, NO_CHANNELS
 
-    records = found.records()
-    shown = [name for name, column in found.columns.items() if (column.status != NO_CHANNELS).any()]
+    records = result.records()
+    shown = [name for name, column in result.columns.items() if (column.status != NO_CHANNELS).any()]
     rows = [[record["id"], *(_cell(record[name]) for name in shown)] for record in records[:SHOWN]]
-    missing = [INDICES[name].title for name in found.columns if name not in shown]
+    missing = [INDICES[name].title for name in result.columns if name not in shown]
     notes = [f"no channels for {', '.join(missing)}"] if missing else []
     headers = ["spectrum", *(_title(INDICES[name]) for name in shown)]
     return TextTable(headers, rows, total=len(records), notes=[*notes, *_notes()])
@@ -91,15 +91,15 @@ def _title(index: Any) -> str:
     return index.title if index.unit == "-" else f"{index.title} [{index.unit}]"
 
 
-def _remark(index: Any, found: dict[str, Any]) -> str:
-    if found["status"] == "ok" and index.missed_by:
+def _remark(index: Any, record: dict[str, Any]) -> str:
+    if record["status"] == "ok" and index.missed_by:
         low, most = index.missed_by
-        return f"noise alone {found['sigma']:.2g}; 11 soils missed by {low:g} in the median, {most:g} at most"
-    return WHY_NOT.get(found["status"], "")
+        return f"noise alone {record['sigma']:.2g}; 11 soils missed by {low:g} in the median, {most:g} at most"
+    return WHY_NOT.get(record["status"], "")
 
 
-def _cell(found: dict[str, Any]) -> str:
+def _cell(record: dict[str, Any]) -> str:
     """`0.1234 ± 0.0012`, with two digits of the error."""
-    if found["value"] is None or found["status"] != "ok":
+    if record["value"] is None or record["status"] != "ok":
         return "-"
-    return plus_minus(found["value"], found["error"] or None, digits=4)
+    return plus_minus(record["value"], record["error"] or None, digits=4)

@@ -13,8 +13,8 @@ from lunarsci.errors import ParameterError
 from lunarsci.spectra.jobs.requests import ImportRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
 from .options import UNITS, Files
 
@@ -65,7 +65,7 @@ def import_(files: Files, request: ImportRequest, output: Output) -> Report:
     library = import_library(files, request)
     if output.path is not None and output.path.suffix.lower() not in (".ecsv", ".json"):
         raise ParameterError(f"{output.path}: a library is written as .ecsv, its list as .json; give such a name")
-    return Report.of(library, [_listing(library)], formats={".ecsv": library.to_ecsv})
+    return Report(library, [_listing(library)], formats={".ecsv": library.to_ecsv})
 
 
 @command(
@@ -97,7 +97,7 @@ def check(files: Libraries) -> Report:
     from lunarsci.spectra.jobs.library import check_library
 
     checked = check_library(files)
-    return Report.of(checked, [_findings(checked)])
+    return Report(checked, [_findings(checked)])
 
 
 @command(
@@ -121,9 +121,7 @@ def _list(files: list[str]) -> Report:
     from lunarsci.spectra.jobs.library import open_library
 
     library = open_library(files)
-    return Report.of(
-        library, [_listing(library)], formats={name: partial(_picture, library, name) for name in PICTURES}
-    )
+    return Report(library, [_listing(library)], formats={name: partial(_picture, library, name) for name in PICTURES})
 
 
 def _picture(library: Library, suffix: str, _: Mapping[str, Any]) -> bytes:
@@ -156,7 +154,7 @@ def _row(record: Mapping[str, Any]) -> list[str]:
 
 def _findings(checked: CheckedLibrary) -> TextTable:
     rows = [[row["id"], "mend" if row["must_mend"] else "know", row["finding"]] for row in checked.rows()]
-    total, rest = len(checked.findings), sum(not found for found in checked.findings)
+    total, rest = len(checked.findings), sum(not finding for finding in checked.findings)
     if not rows:
         return TextTable(["library"], [[f"all {total} end members are fit for use"]])
     notes = [f"{rest} of {total} without a finding"] if rest else []

@@ -10,10 +10,10 @@ import typer
 from lunarsci.spectra.jobs.requests import MapRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import BLOCKS, Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable
+from ..shared.talk import progress
 from .options import FILE
 
 if TYPE_CHECKING:
@@ -80,11 +80,11 @@ def map_cube(cube: CubeFile, request: MapRequest, output: Output, spectrum: Spec
     from lunarsci.spectra.jobs.map import map, pixel
 
     if spectrum is not None:
-        found = pixel(cube, spectrum, request)
-        return Report.of(found, [_pixel_table(found)])
+        one = pixel(cube, spectrum, request)
+        return Report(one, [_pixel_table(one)])
     with progress("mapping lines", quiet=output.quiet) as update:
         result = map(cube, output.path, request, force=output.force, time=not output.no_time, progress=update)
-    return Report.of(result, [_table(result)], written=[result.path])
+    return Report(result, [_table(result)], written=[result.path])
 
 
 def _table(result: CubeMap) -> TextTable:
@@ -114,10 +114,10 @@ def _notes(record: Mapping[str, Any]) -> Sequence[str]:
     return [", ".join([f"{counts['pixels']} pixels", *flags]), *coded, *record["cube"]["remarks"]]
 
 
-def _pixel_table(found: PixelSpectrum) -> TextTable:
-    rows = [[f"{row['wavelength_nm']:.2f}", _shown(row[found.id])] for row in found.rows()]
-    flags = [f"flags: {', '.join(found.flags)}"] if found.flags else []
-    return TextTable(["wavelength [nm]", "reflectance"], rows, title=found.id, notes=flags)
+def _pixel_table(pixel: PixelSpectrum) -> TextTable:
+    rows = [[f"{row['wavelength_nm']:.2f}", _shown(row[pixel.id])] for row in pixel.rows()]
+    flags = [f"flags: {', '.join(pixel.flags)}"] if pixel.flags else []
+    return TextTable(["wavelength [nm]", "reflectance"], rows, title=pixel.id, notes=flags)
 
 
 def _shown(value: float) -> str:

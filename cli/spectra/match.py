@@ -10,10 +10,10 @@ import typer
 from lunarsci.spectra.jobs.requests import MatchRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import SPREAD, Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import SHOWN, TextTable
+from ..shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.spectra.jobs.match import Matches
@@ -76,7 +76,7 @@ def match(request: MatchRequest, output: Output, rocks: Rocks = None) -> Report:
 
     with progress("matching", quiet=output.quiet) as update:
         result = match(rocks or (), request, progress=update)
-    return Report.of(result, lambda: result_tables(result))
+    return Report(result, lambda: result_tables(result))
 
 
 def result_tables(result: Matches) -> list[TextTable]:
@@ -85,12 +85,12 @@ def result_tables(result: Matches) -> list[TextTable]:
 
     matches, notes = result.matches, [f"- {text}" for text in result.assumptions]
     if len(matches) == 1:
-        told = (
+        remark = (
             "ln BF: composition alone, against a rock of any composition; main route to the surface: the impact itself "
             "(direct), the fall of younger ejecta (stirred) or small local craters (gardened), with its share; assumed "
             "or known:"
         )
-        return [_craters_table(matches[0], [matches[0].status, *matches[0].rock.remarks, told, *notes])]
+        return [_craters_table(matches[0], [matches[0].status, *matches[0].rock.remarks, remark, *notes])]
     shown = matches[:SHOWN]
     rows = [[m.rock.id, m.remaining[0], f"{_best(m):.2f}", f"{m.other_posterior:.2f}", m.status] for m in shown]
     headers = ["rock", "likeliest", "posterior", OTHER, "status"]

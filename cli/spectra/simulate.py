@@ -9,8 +9,8 @@ import typer
 from lunarsci.spectra.jobs.requests import SimulateVnisRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import option
-from ..shared.report import Report
 from ..shared.table import TextTable
 
 SCENE, VIEW, OBSERVATION = "Scene", "Light and view", "Observation"
@@ -49,7 +49,7 @@ def simulate(request: SimulateVnisRequest) -> Report:
 
     result = simulate(request)
     files = {name: partial(bytes, content) for name, content in result.files.items()}
-    return Report.of(result, [_table(result.to_dict())], files=files)
+    return Report(result, [_table(result.to_dict())], files=files)
 
 
 def _table(result: Mapping[str, Any]) -> TextTable:

@@ -10,24 +10,24 @@ import typer
 from lunarsci.spectra.jobs.requests import UnmixRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import UNKNOWN, TextTable, counted, plus_minus, verdict_table
+from ..shared.talk import progress
 from .options import ONLY, UNITS, Files
 
 if TYPE_CHECKING:
     from lunarsci.spectra.abundance.result import MineralFraction
     from lunarsci.spectra.jobs.unmix import UnmixedSpectra
 
-KNOWN, MIXTURE = "What is known", "End members"
+GIVEN, MIXTURE = "What is known", "End members"
 NORMATIVE = {"plagioclase_wt": "normative plagioclase", "feo_wt": "FeO", "tio2_wt": "TiO2"}
 OPTIONS = {
-    "assemblage": option(panel=KNOWN, metavar="NAMES"),
-    "kind": option(panel=KNOWN, metavar="KIND"),
-    "prior": option(panel=KNOWN),
-    "together": option(panel=KNOWN),
-    "known": option(panel=KNOWN, metavar="FILE"),
+    "assemblage": option(panel=GIVEN, metavar="NAMES"),
+    "kind": option(panel=GIVEN, metavar="KIND"),
+    "prior": option(panel=GIVEN),
+    "together": option(panel=GIVEN),
+    "known": option(panel=GIVEN, metavar="FILE"),
     "library": option(panel=MIXTURE, metavar="FILE"),
     "method": option(panel=MIXTURE),
     "opaque": option(panel=MIXTURE),
@@ -59,21 +59,21 @@ def unmix_spectra(files: Files, request: UnmixRequest, output: Output) -> Report
     from lunarsci.spectra.jobs.unmix import unmix
 
     with progress("unmixing", quiet=output.quiet) as update:
-        found = unmix(files, request, progress=update)
-    return Report.of(found, lambda: result_tables(found))
+        result = unmix(files, request, progress=update)
+    return Report(result, lambda: result_tables(result))
 
 
-def result_tables(found: UnmixedSpectra) -> list[TextTable]:
+def result_tables(result: UnmixedSpectra) -> list[TextTable]:
     """The shares, the ratios of rocks, the composition of soils, and what they say."""
     from lunarsci.spectra.jobs.verdicts import shares_counted, shares_verdict
 
-    told = verdict_table(found.records, shares_verdict, shares_counted)
-    return [*share_tables(found), *ratio_table(found), *chondrite_table(found), *normative_table(found), *told]
+    verdicts = verdict_table(result.records, shares_verdict, shares_counted)
+    return [*share_tables(result), *ratio_table(result), *chondrite_table(result), *normative_table(result), *verdicts]
 
 
-def share_tables(found: UnmixedSpectra) -> list[TextTable]:
+def share_tables(result: UnmixedSpectra) -> list[TextTable]:
     """Of one spectrum a row each mineral, of several a row each spectrum; none where all are weathered."""
-    shown = [one for one, kind in zip(found.shares, found.kinds, strict=True) if kind.kind != "weathered-soil"]
+    shown = [one for one, kind in zip(result.shares, result.kinds, strict=True) if kind.kind != "weathered-soil"]
     if len(shown) == 1:
         rows = [[share.mineral, *_percent(share), f"{100 * share.present:.0f}"] for share in shown[0].fractions]
         headers = ["mineral", "share [%]", "68 %", "95 %", "probability of more than 5 % [%]"]
@@ -97,30 +97,30 @@ def _percent(share: MineralFraction) -> list[str]:
     ]
 
 
-def ratio_table(found: UnmixedSpectra) -> list[TextTable]:
+def ratio_table(mixed: UnmixedSpectra) -> list[TextTable]:
     """Ratios of the mafic minerals of solid rocks, beside published ones."""
 
     from lunarsci.spectra.abundance.result import BOULDERS
 
-    rows = [[one.id, ratio.mineral.replace("_", " "), *_percent(ratio)] for one in found.shares for ratio in one.ratios]
+    rows = [[one.id, ratio.mineral.replace("_", " "), *_percent(ratio)] for one in mixed.shares for ratio in one.ratios]
     headers = ["spectrum", "ratio", "[%]", "68 %", "95 %"]
     return [TextTable(headers, rows, title="ratios of mafic minerals", notes=[BOULDERS])] if rows else []
 
 
-def chondrite_table(found: UnmixedSpectra) -> list[TextTable]:
+def chondrite_table(result: UnmixedSpectra) -> list[TextTable]:
     """Olivine and iron of those whose bands may be an ordinary chondrite's."""
-    likely = [(one["id"], own) for one in found.records if (own := one["chondrite"]) and own["in_domain"]]
+    likely = [(one["id"], kind) for one in result.records if (kind := one["chondrite"]) and kind["in_domain"]]
     rows = [
-        [id, *(_ranged(own[name]) for name in ("fa", "fs")), _ranged(own["olivine_in_mafic"], 100)]
-        for id, own in likely
+        [id, *(_ranged(kind[name]) for name in ("fa", "fs")), _ranged(kind["olivine_in_mafic"], 100)]
+        for id, kind in likely
     ]
     headers = ["spectrum", "Fa [mol %]", "Fs [mol %]", "olivine in mafic minerals [%]"]
     return [TextTable(headers, rows, title="from the bands, if an ordinary chondrite")] if rows else []
 
 
-def normative_table(found: UnmixedSpectra) -> list[TextTable]:
+def normative_table(result: UnmixedSpectra) -> list[TextTable]:
     """Composition of weathered soils, where there are any."""
-    records = [record for record in found.records if record["normative"]]
+    records = [record for record in result.records if record["normative"]]
     rows = [[record["id"], *(_ranged(record["normative"][name]) for name in NORMATIVE)] for record in records]
     notes = _statuses(records)
     title = "composition by regression, if it is a weathered soil"

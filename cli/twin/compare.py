@@ -11,22 +11,23 @@ from lunarsci.errors import RequestError
 from lunarsci.twin.jobs.requests import TrialsRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable
-from .belief_tables import discrepancy_table
+from ..shared.talk import progress
+from .history import discrepancy_table
 from .options import AS_WRITTEN, GROUND, HEIGHT_UNIT, INTERPOLATION, SOIL
-from .trial_tables import trial_tables
 
 if TYPE_CHECKING:
     from lunarsci.twin.comparison.forecast import Miss
     from lunarsci.twin.comparison.scores import EndCheck, PathCheck
     from lunarsci.twin.comparison.verdict import DriveComparison
     from lunarsci.twin.jobs.compare import ComparedDrive
+    from lunarsci.twin.jobs.compare_trials import ScoredTrials
 
 FORECAST = "prediction.json"
 """By which a folder of `twin predict -o` is known."""
+TRIAL_UNITS = {"slip_ratio": ("slip", "-"), "side_slip_deg": ("side slip", "deg"), "end_m": ("end", "m")}
 FILE: dict[str, Any] = {"kind": str | None, "metavar": "FILE"}
 OPTIONS = {
     "positions": option(**FILE),
@@ -121,10 +122,10 @@ def _check_prediction(inputs: list[str], request: TrialsRequest, save: Path | No
 def _drive(inputs: list[str], request: TrialsRequest, save: Path | None) -> Report:
     from lunarsci.twin.jobs.compare import compare
 
-    found = compare(inputs[0], inputs[1], request)
-    belief = found.belief
+    compared = compare(inputs[0], inputs[1], request)
+    belief = compared.belief
     extras = {save: lambda: belief.to_json().encode()} if save and belief else {}
-    return Report.of(found, result_tables(found), extras=extras)
+    return Report(compared, result_tables(compared), extras=extras)
 
 
 def _trials(inputs: list[str], request: TrialsRequest, output: Output, save: Path | None) -> Report:
@@ -134,14 +135,14 @@ def _trials(inputs: list[str], request: TrialsRequest, output: Output, save: Pat
     if save is not None:
         raise RequestError("`save` keeps what a belief learns from a prediction, not from trials; leave it out")
     with progress("trials", quiet=output.quiet) as update:
-        found = job.compare_trials(inputs, request, progress=update)
-    return Report.of(found, trial_tables(found))
+        scored = job.compare_trials(inputs, request, progress=update)
+    return Report(scored, trial_tables(scored))
 
 
-def result_tables(found: ComparedDrive) -> list[TextTable]:
+def result_tables(compared: ComparedDrive) -> list[TextTable]:
     """The verdict with what it rests on, and what a belief learned of it."""
 
-    tables, before, after = _tables(found), found.before, found.belief
+    tables, before, after = _tables(compared), compared.before, compared.belief
     if before is None or after is None:
         return tables
     return [*tables, discrepancy_table(after.discrepancy, before.discrepancy)]
@@ -151,29 +152,34 @@ def _tables(compared: ComparedDrive) -> list[TextTable]:
 
     from lunarsci.twin.comparison.forecast import miss_of
 
-    matched, found, states = compared.matched, compared.found, compared.states
+    matched, judged, states = compared.matched, compared.found, compared.states
     forecast, pace = matched.forecast, compared.pace
     drives = (
-        f"{found.finished} of {found.members} drives" if found.finished < found.members else f"{found.members} drives"
+        f"{judged.finished} of {judged.members} drives"
+        if judged.finished < judged.members
+        else f"{judged.members} drives"
     )
     title = f"{compared.verdict.upper()}: {forecast.plan.name}, {drives} of {forecast.origin}, beside {states}"
-    notes = [*(f"because {reason}" for reason in found.reasons), *(f"near the edge: {text}" for text in found.near)]
+    notes = [
+        *(f"because {reason}" for reason in judged.reasons),
+        *(f"near the edge: {text}" for text in judged.near),
+    ]
     notes += [f"because {compared.untrusted}"] if compared.verdict == "doubtful" else []
     head = TextTable(
         ["place", "what", "value"],
-        [*_end_rows(found.end), *_miss_rows(miss_of(matched)), *_path_rows(found.path)],
+        [*_end_rows(judged.end), *_miss_rows(miss_of(matched)), *_path_rows(judged.path)],
         title=title,
         notes=notes,
     )
     tables = [head if head.rows else TextTable([], [], title=title, notes=notes)]
-    if found.bands:
-        tables.append(_band_table(found))
-    left_out = [f"not compared: {name} ({why})" for name, why in found.not_compared.items()]
+    if judged.bands:
+        tables.append(_band_table(judged))
+    left_out = [f"not compared: {name} ({why})" for name, why in judged.not_compared.items()]
     unchecked = "the plan's speed was not checked: the states do not say how fast the wheels turned (rim_m_s)"
     driven = [unchecked if pace is None else pace.text]
     return [
         *tables,
-        TextTable([], [], title="What this rests on", notes=[*_whole(found), *driven, *found.notes, *left_out]),
+        TextTable([], [], title="What this rests on", notes=[*_whole(judged), *driven, *judged.notes, *left_out]),
     ]
 
 
@@ -206,7 +212,7 @@ def _path_rows(path: PathCheck | None) -> list[list[str]]:
     return rows
 
 
-def _band_table(found: DriveComparison) -> TextTable:
+def _band_table(judged: DriveComparison) -> TextTable:
     headers = [
         "quantity",
         "wheel",
@@ -221,7 +227,7 @@ def _band_table(found: DriveComparison) -> TextTable:
         "unit",
     ]
     rows = []
-    for check in found.bands:
+    for check in judged.bands:
         unit, factor = UNITS[check.quantity]
         rows.append(
             [
@@ -248,17 +254,17 @@ def _or_dash(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)
 
 
-def _whole(found: DriveComparison) -> list[str]:
+def _whole(judged: DriveComparison) -> list[str]:
     """The surprise of the whole drive and what was looked for along it."""
     lines = []
-    if (whole := found.surprise) is not None:
+    if (whole := judged.surprise) is not None:
         pieces = "1 piece" if whole.pieces == 1 else f"{whole.pieces} pieces"
-        own = whole.standing
+        place = whole.standing
         lines.append(
-            f"surprise of the whole: {own.distance:.1f} sd in {own.dimensions} dimensions ({pieces} of the drive, "
-            f"{', '.join(whole.quantities)}), probability by chance {own.p:.2g}, ln density {own.ln_density:.1f}"
+            f"surprise of the whole: {place.distance:.1f} sd in {place.dimensions} dimensions ({pieces} of the drive, "
+            f"{', '.join(whole.quantities)}), probability by chance {place.p:.2g}, ln density {place.ln_density:.1f}"
         )
-    if (change := found.change) is not None:
+    if (change := judged.change) is not None:
         lines.append(f"largest change of the ground: about {change.distance_m:.1f} m on, by chance {change.p:.2g}")
     return lines
 
@@ -280,3 +286,58 @@ def _miss_rows(miss: Miss | None) -> list[list[str]]:
             f"{miss.soil_m:.3f} m, {miss.position_m:.3f} m, {miss.physics_m:.3f} m",
         ],
     ]
+
+
+def trial_tables(scored: ScoredTrials) -> list[TextTable]:
+    """One row a trial, then one for each quantity over all trials."""
+    record = scored.to_dict()
+    notes = [
+        "error: root mean square of predicted less measured over the states, and the distance of the ends; wheels: the "
+        "same of the way that the wheels go without slip",
+        f"predicted on soils of {record['soil']['name']} ({record['soil']['of']})",
+        *([f"{made} of the trials are synthetic"] if (made := sum(trial.synthetic for trial in scored.trials)) else []),
+        *(f"{trial.trial} is doubtful: {trial.doubt}" for trial in scored.trials if trial.doubt),
+    ]
+    headers = ["trial", "way [m]", "drives", "slip", "predicted", "error", "wheels", "side slip error [deg]", "wheels"]
+    headers += ["end error [m]", "wheels", "90 % radius [m]", "inside"]
+    rows = [_row(row) for row in record["trials"]]
+    heads = ["over all trials", "unit", "trials", "values", "median error", "rms", "in 90 % regions", "wheels: median"]
+    summary = [_summary_row(row) for row in record["summary"]]
+    trials = "1 trial" if len(rows) == 1 else f"{len(rows)} trials"
+    title = f"{trials} beside what the twin predicts from the wheels"
+    return [
+        TextTable(headers, rows, title=title, notes=notes),
+        TextTable([*heads, "wheels: rms"], summary, title="Errors over all trials"),
+    ]
+
+
+def _row(row: dict[str, Any]) -> list[str]:
+    inside = row.get("end_m_in_90")
+    return [
+        row["trial"],
+        f"{row['way_m']:.2f}",
+        f"{row['finished']} of {row['members']}",
+        *(_cell(row.get(f"slip_ratio_{part}")) for part in ("measured", "predicted", "error", "error_wheels_alone")),
+        *(_cell(row.get(f"side_slip_deg_{part}"), ".2f") for part in ("error", "error_wheels_alone")),
+        *(_cell(row.get(f"end_m_{part}")) for part in ("error", "error_wheels_alone")),
+        _cell(row["end_radius_90_m"]),
+        "-" if inside is None else "yes" if inside else "no",
+    ]
+
+
+def _summary_row(row: dict[str, Any]) -> list[str]:
+    name, unit = TRIAL_UNITS[row["quantity"]]
+    held = row["in_90"]
+    return [
+        name,
+        unit,
+        str(row["trials"]),
+        str(row["values"]),
+        *(f"{row[part]:.3g}" for part in ("median_error", "rms")),
+        "-" if held is None else f"{100 * held:.0f} %",
+        *(f"{row[part]:.3g}" for part in ("median_error_wheels_alone", "rms_wheels_alone")),
+    ]
+
+
+def _cell(value: float | None, form: str = ".3f") -> str:
+    return "-" if value is None else format(value, form)

@@ -13,10 +13,10 @@ from lunarsci.twin.jobs.requests import DriveRequest
 from lunarsci.twin.judgement.tables import Spread, WheelLoads
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import SPREAD, Output
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable, bare
+from ..shared.talk import progress
 from .options import DRIVE, PlanFile
 
 if TYPE_CHECKING:
@@ -51,14 +51,14 @@ def forces(output: Output, request: DriveRequest, plan: PlanFile = None) -> Repo
     """
 
     with progress("driving", quiet=output.quiet) as update:
-        found = job.forces(plan, request, progress=update)
-    return Report.of(found, wheel_tables(found.title, found.loads, _notes(found)))
+        result = job.forces(plan, request, progress=update)
+    return Report(result, wheel_tables(result.title, result.loads, _notes(result)))
 
 
-def _notes(found: DriveForces) -> list[str]:
-    known, prediction = found.soils.inputs, found.prediction
-    notes = [*known.soil_notes(prediction.members, len(prediction.parameters)), *found.failed, *known.remarks]
-    return [*notes, "the terrain is synthetic"] if known.terrain.synthetic else notes
+def _notes(result: DriveForces) -> list[str]:
+    inputs, prediction = result.soils.inputs, result.prediction
+    notes = [*inputs.soil_notes(prediction.members, len(prediction.parameters)), *result.failed, *inputs.remarks]
+    return [*notes, "the terrain is synthetic"] if inputs.terrain.synthetic else notes
 
 
 def wheel_tables(title: str, loads: Sequence[WheelLoads], notes: Sequence[str]) -> list[TextTable]:

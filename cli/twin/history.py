@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,13 +15,13 @@ from lunarsci.twin.jobs.history import BeliefHistory
 from lunarsci.twin.jobs.requests import HistoryRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.report import Report
-from ..shared.table import TextTable
-from .belief_tables import discrepancy_table, parameter_table
+from ..shared.table import TextTable, significant
 
 if TYPE_CHECKING:
     from lunarsci.regolith.belief import BeliefDistance, SoilBelief
+    from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
     from lunarsci.twin.jobs.history import BeliefHistory
 
 OPTIONS = {
@@ -30,6 +31,7 @@ OPTIONS = {
 SavedBelief = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Takes the belief of --rollback (JSON), for `twin update`.")
 ]
+ENDS = (("low", "high"), ("ground_low_68", "ground_high_68"))
 SHORT = {
     "stiffness_kpa_m_n": "K_s",
     "sinkage_exponent": "N",
@@ -69,22 +71,22 @@ def history(
     if (request.rollback is None) != (save is None):
         raise RequestError("`rollback` N and `save` FILE belong together; give both, or neither")
     output.check_extra("--save", save, (".json",))
-    found = history(belief, request)
-    back = found.rolled_back
+    result = history(belief, request)
+    back = result.rolled_back
     extras = {} if save is None or back is None else {save: lambda: back.to_json().encode()}
-    return Report.of(found, _tables(found, save), extras=extras)
+    return Report(result, _tables(result, save), extras=extras)
 
 
-def _tables(found: BeliefHistory, save: Path | None) -> list[TextTable]:
+def _tables(result: BeliefHistory, save: Path | None) -> list[TextTable]:
 
-    now = parameter_table(parameter_rows(found.belief), "What is believed now")
-    drives = found.drives
-    tables = [_drive_table(found.source.name, drives), _moved_table(drives), now, _physics_table(found.belief)]
-    if found.distance is not None and found.other_source is not None:
-        tables.append(_distance_table((found.source.name, found.other_source.name), found.distance))
-    if found.rolled_back is not None:
-        title = f"What was believed after {found.rollback} drive(s), written to {save}"
-        tables.append(parameter_table(parameter_rows(found.rolled_back), title))
+    now = parameter_table(parameter_rows(result.belief), "What is believed now")
+    drives = result.drives
+    tables = [_drive_table(result.source.name, drives), _moved_table(drives), now, _physics_table(result.belief)]
+    if result.distance is not None and result.other_source is not None:
+        tables.append(_distance_table((result.source.name, result.other_source.name), result.distance))
+    if result.rolled_back is not None:
+        title = f"What was believed after {result.rollback} drive(s), written to {save}"
+        tables.append(parameter_table(parameter_rows(result.rolled_back), title))
     return [table for table in tables if table.rows or table.notes]
 
 
@@ -138,9 +140,9 @@ def _moved_table(drives: list[dict[str, Any]]) -> TextTable:
 def _physics_table(belief: SoilBelief) -> TextTable:
     """What the twin's physics is off by, and the drives that taught it."""
 
-    found = discrepancy_table(belief.discrepancy)
+    table = discrepancy_table(belief.discrepancy)
     lines = [f"taught by {one.get('states')} ({one.get('how')})" for one in belief.discrepancy.scored]
-    return TextTable(found.headers, found.rows, title=found.title, notes=[*found.notes, *lines])
+    return TextTable(table.headers, table.rows, title=table.title, notes=[*table.notes, *lines])
 
 
 def _distance_table(names: tuple[str, str], distance: BeliefDistance) -> TextTable:
@@ -165,3 +167,44 @@ def _distance_table(names: tuple[str, str], distance: BeliefDistance) -> TextTab
     return TextTable(
         ["parameter", "first", "second", "difference [sd]", "Bhattacharyya"], rows, title=title, notes=notes
     )
+
+
+def parameter_table(rows: Mapping[str, Mapping[str, float]], title: str, notes: Sequence[str] = ()) -> TextTable:
+    """Effective values and the ground's own of each parameter, from `parameter_rows`."""
+    cells = [
+        [
+            name,
+            f"{row['median']:.4g}",
+            *(f"{significant(row[low])} to {significant(row[high])}" for low, high in ENDS),
+            f"{100 * row['left_of_prior']:.0f} %",
+        ]
+        for name, row in rows.items()
+    ]
+    headers = ["effective value", "median", "68 %", "ground's own 68 %", "width, of before any drive"]
+    return TextTable(headers, cells, title=title, notes=notes)
+
+
+def discrepancy_table(after: PhysicsDiscrepancy, before: PhysicsDiscrepancy | None = None) -> TextTable:
+    """What the twin's physics is off by, for people; beside what was believed before."""
+    from lunarsci.regolith.physics_discrepancy import FIRST
+
+    headers = ["share", "68 %", "95 %", "worth [drives]", *(["68 % before"] if before else [])]
+    parts = {"way, along": "along", "way, across": "across", **{name: name for name in sorted(after.quantities)}}
+    rows = []
+    for label, key in parts.items():
+        one, old = (_law(law, key) for law in (after, before or after))
+        cells = [f"± {100 * one.half_width(p):.2g} %" for p in (0.68, 0.95)]
+        rows.append(
+            [label, *cells, f"{one.degrees:.1f}", *([f"± {100 * old.half_width(0.68):.2g} %"] if before else [])]
+        )
+    count = len(after.scored)
+    first = " and ".join(dict.fromkeys(f"{_law(FIRST, key).degrees:g}" for key in parts.values()))
+    notes = [
+        f"learned from {count} drive{'s' * (count != 1)}; predictions add it to what the soil is not known for",
+        f"worth: as many drives would tell it as surely; {first} of them stand for the simulations it began with",
+    ]
+    return TextTable(headers, rows, title="What the twin's physics is off by, beside the soil", notes=notes)
+
+
+def _law(law: PhysicsDiscrepancy, key: str) -> Any:
+    return law.quantities[key] if key in law.quantities else getattr(law, key)

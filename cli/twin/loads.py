@@ -11,10 +11,10 @@ from lunarsci.errors import RequestError
 from lunarsci.twin.jobs.requests import LoadsRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
+from ..shared.talk import progress
 from .forces import wheel_tables
 from .options import AS_WRITTEN, GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, TERRAIN, PlanFile
 
@@ -86,65 +86,65 @@ def loads(
         raise RequestError("`save` takes the soil of `iterate`; give that, or leave it out")
     output.check_extra("--save", save, (".json",))
     with progress("holding the rover to its motion", quiet=output.quiet) as update:
-        found = job.loads(motion, plan, request, progress=update)
-    if isinstance(found, MotionLoads):
-        return Report.of(found, result_tables(found))
-    belief = found.belief
+        result = job.loads(motion, plan, request, progress=update)
+    if isinstance(result, MotionLoads):
+        return Report(result, result_tables(result))
+    belief = result.belief
     extras = {save: lambda: belief.to_json().encode()} if save and belief else {}
-    return Report.of(found, result_tables(found), files=found.files(), extras=extras)
+    return Report(result, result_tables(result), files=result.files(), extras=extras)
 
 
-def result_tables(found: MotionLoads | UncertainLoads) -> list[TextTable]:
+def result_tables(result: MotionLoads | UncertainLoads) -> list[TextTable]:
     """Loads of one motion, or of all that could have been."""
     from lunarsci.twin.jobs.loads import MotionLoads
 
-    if isinstance(found, MotionLoads):
-        return wheel_tables(found.title, found.wheels, _notes_of_motion(found))
-    return _tables(found)
+    if isinstance(result, MotionLoads):
+        return wheel_tables(result.title, result.wheels, _notes_of_motion(result))
+    return _tables(result)
 
 
-def _notes_of_motion(found: MotionLoads) -> list[str]:
+def _notes_of_motion(result: MotionLoads) -> list[str]:
 
     from lunarsci.twin.lanes import outcome_texts
 
-    notes = [*outcome_texts(found.found.outcome), *found.known.remarks]
-    if missing := found.missing:
+    notes = [*outcome_texts(result.found.outcome), *result.known.remarks]
+    if missing := result.missing:
         notes.insert(
             0,
             f"the motion needs {missing['mean_ahead_n']:.2f} N ahead and {missing['mean_left_n']:.2f} N to the left "
             f"that the wheels do not supply in the mean, {100 * missing['rms_share_of_weight']:.1f} % of the weight in "
             "rms",
         )
-    return [*notes, "the terrain is synthetic"] if found.known.terrain.synthetic else notes
+    return [*notes, "the terrain is synthetic"] if result.known.terrain.synthetic else notes
 
 
-def _notes(found: UncertainLoads) -> list[str]:
+def _notes(result: UncertainLoads) -> list[str]:
     notes = []
-    if found.found.held.motion.sigmas is None:
+    if result.found.held.motion.sigmas is None:
         notes.append("the motion has no columns x_m_sigma, y_m_sigma, yaw_deg_sigma; it counts as exact")
-    if "belief" not in found.given:
+    if "belief" not in result.given:
         notes.append("no belief is given: the soils are drawn from the priors")
-    if found.states is None:
+    if result.states is None:
         notes.append("no states are given: sinkages in the table are those of the assumed soil, and tell nothing of it")
-    elif found.turned is None:
+    elif result.turned is None:
         notes.append(
             "errors of single pulls are one soil's, alike at all poses; `regolith identify` takes them as independent "
             "and is too sure of what it finds, --iterate is not"
         )
-    return [*notes, "the terrain is synthetic"] if found.known.terrain.synthetic else notes
+    return [*notes, "the terrain is synthetic"] if result.known.terrain.synthetic else notes
 
 
-def _tables(found: UncertainLoads) -> list[TextTable]:
+def _tables(result: UncertainLoads) -> list[TextTable]:
     """Forces of each wheel, where their uncertainty comes from, totals, rounds."""
-    result, notes = found.to_dict(), _notes(found)
-    if not result["wheels"]:
-        return [TextTable([], [], title=found.title, notes=[*notes, "no pose has forces"])]
+    record, notes = result.to_dict(), _notes(result)
+    if not record["wheels"]:
+        return [TextTable([], [], title=result.title, notes=[*notes, "no pose has forces"])]
     tables = [
-        _force_table(result["wheels"], found.title),
-        _share_table(result["shares"]),
-        _total_table(result["totals"], notes),
+        _force_table(record["wheels"], result.title),
+        _share_table(record["shares"]),
+        _total_table(record["totals"], notes),
     ]
-    turned = result["iteration"]
+    turned = record["iteration"]
     return tables if turned is None else [*tables, _round_table(turned), _soil_table(turned["parameters"])]
 
 
@@ -168,9 +168,9 @@ def _share_table(shares: dict[str, Any]) -> TextTable:
     rows = []
     for name, of_force in shares.items():
         for when, key in (("assumed", "before"), ("balanced", "after")):
-            own = of_force[key]
-            parts = (f"{100 * own[part]:.0f} %" for part in ("soil", "motion", "balance", "together"))
-            rows.append([SYMBOLS[name], when, *parts, f"{100 * own['of_force']:.1f} %"])
+            variance = of_force[key]
+            parts = (f"{100 * variance[part]:.0f} %" for part in ("soil", "motion", "balance", "together"))
+            rows.append([SYMBOLS[name], when, *parts, f"{100 * variance['of_force']:.1f} %"])
     headers = ["force", "", "soil", "motion", "balance", "only jointly", "soil moves the force by"]
     return TextTable(headers, rows, title="Where the variance of the forces comes from")
 
@@ -201,8 +201,8 @@ def _round_table(turned: dict[str, Any]) -> TextTable:
         "the soil is judged by sinkages under the loads and by what all wheels pull together,",
         "never by single pulls, which came from a soil",
     ]
-    said = f"converged after {rounds}" if turned["converged"] else f"{turned['verdict']}, {rounds}"
-    return TextTable(headers, rows, title=f"Forces and soil in turn: {said}", notes=notes)
+    outcome = f"converged after {rounds}" if turned["converged"] else f"{turned['verdict']}, {rounds}"
+    return TextTable(headers, rows, title=f"Forces and soil in turn: {outcome}", notes=notes)
 
 
 def _soil_table(parameters: dict[str, dict[str, float]]) -> TextTable:

@@ -19,18 +19,19 @@ from lunarsci.twin.plans.plan import Leg
 from lunarsci.twin.routes.planner import PlannedPath
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import SPREAD, Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable
-from .mission_tables import mission_tables
+from ..shared.talk import progress
 from .terrain import LIMITS, GeoTiff, NamedTerrain, check_files, ground_table
 from .terrain import OPTIONS as OF_TERRAIN
 
 if TYPE_CHECKING:
     from lunarsci.twin.jobs.chosen_drive import ChosenDrive
+    from lunarsci.twin.jobs.plan import PlannedMission
     from lunarsci.twin.jobs.terrain import TerrainSurvey
     from lunarsci.twin.judgement.choice import DriveCandidate
+    from lunarsci.twin.mission.mission import MissionLeg
     from lunarsci.twin.plans.plan import Leg
     from lunarsci.twin.routes.planner import PlannedPath
 
@@ -55,7 +56,7 @@ OPTIONS = {
     "mission": option(panel=PATH, metavar="FILE", show_default=False),
     "exact_terrain": option(panel=CHOICE),
     "charge": option(panel=CHOICE, show_default="the battery does not count"),
-    **{name: said for name, said in OF_TERRAIN.items() if name != "soil"},
+    **{name: text for name, text in OF_TERRAIN.items() if name != "soil"},
 }
 SHORT = {
     "slip_ratio": "slip", "side_slip_deg": "sideslip", "sinkage_m": "sinkage", "tilt_deg": "tilt",
@@ -97,32 +98,32 @@ def plan(output: Output, request: PlanRequest, terrain: NamedTerrain = None, geo
     alone = request.risk is None and request.mission is None
     check_files(output, soil=bool(request.soil) and alone, geotiff=geotiff)
     with progress("planning", quiet=output.quiet) as update:
-        found = job.plan(terrain, request, progress=update)
-    return Report.of(found, result_tables(found), files=found.files(geotiff=geotiff))
+        survey = job.plan(terrain, request, progress=update)
+    return Report(survey, result_tables(survey), files=survey.files(geotiff=geotiff))
 
 
-def result_tables(found: TerrainSurvey) -> list[TextTable]:
+def result_tables(survey: TerrainSurvey) -> list[TextTable]:
     """A mission's targets and legs, or the drives to choose from or the ground, and the way."""
 
     from lunarsci.twin.jobs.chosen_drive import ChosenDrive
 
-    if isinstance(found, PlannedMission):
-        return mission_tables(found)
-    tables = [_choice_table(found)] if isinstance(found, ChosenDrive) else [ground_table(found)]
-    return tables + ([] if found.path is None else [_path_table(found, found.path)])
+    if isinstance(survey, PlannedMission):
+        return mission_tables(survey)
+    tables = [_choice_table(survey)] if isinstance(survey, ChosenDrive) else [ground_table(survey)]
+    return tables + ([] if survey.path is None else [_path_table(survey, survey.path)])
 
 
-def _choice_table(found: ChosenDrive) -> TextTable:
+def _choice_table(survey: ChosenDrive) -> TextTable:
     """The best candidates, one line each, best first."""
-    choice = found.choice
+    choice = survey.choice
     best, rows = choice.best, [_candidate_row(one) for one in choice.candidates[:SHOWN]]
     stopped = sum(one.stopped for one in choice.candidates)
     verdict = f"take drive {best.number}, {best.plan.name}" if choice.feasible else "NO-GO: no drive keeps the risk"
-    verdict = f"doubtful: {verdict}" if found.soils.doubt else verdict
+    verdict = f"doubtful: {verdict}" if survey.soils.doubt else verdict
     held = f"`twin predict` holds its plan.toml against the same risk, {100 * choice.risk:g} %, which the plan carries"
     notes = [
-        *([found.soils.doubt] if found.soils.doubt else []),
-        *([] if choice.feasible else [found.what_next]),
+        *([survey.soils.doubt] if survey.soils.doubt else []),
+        *([] if choice.feasible else [survey.what_next]),
         f"drive {best.number}: {100 * best.stated.risk:.1f} % fail, at most {100 * best.stated.high:.1f} %; it takes "
         f"{best.duration_s / 60:.1f} min; weakest at x {best.weakest.x_m:z.2f} m, y {best.weakest.y_m:z.2f} m: "
         f"{best.weakest.why}",
@@ -132,9 +133,9 @@ def _choice_table(found: ChosenDrive) -> TextTable:
         "the way; m left, m right in a drive's name: how far its way lies beside the direct one",
         f"* not beaten in risk, length and energy at once; {len(choice.candidates)} drives compared, {stopped} stopped "
         f"early, of which {len(choice.candidates) - len(rows)} are left out here: --csv",
-        f"end within {found.tolerance_m:g} m of the target",
-        *found.soils.inputs.soil_notes(found.members, 0),
-        *found.notes(),
+        f"end within {survey.tolerance_m:g} m of the target",
+        *survey.soils.inputs.soil_notes(survey.members, 0),
+        *survey.notes(),
     ]
     headers = ["no", "drive", "risk %", "to %", "m", "J", "weakest", "at m"]
     return TextTable(headers, rows, title=f"{verdict}; accepted: {100 * choice.risk:g} %", notes=notes)
@@ -159,9 +160,9 @@ def _percent(chance: float) -> str:
     return f"{100 * chance:.1f}" if chance < 0.02 else f"{100 * chance:.0f}"
 
 
-def _path_table(found: TerrainSurvey, path: PlannedPath) -> TextTable:
+def _path_table(survey: TerrainSurvey, path: PlannedPath) -> TextTable:
 
-    limits = found.site.mobility
+    limits = survey.site.mobility
     rows = [
         [str(number), f"{arc.length_m:.3f}", f"{arc.curvature_per_m:.4f}", _radius(arc.curvature_per_m)]
         for number, arc in enumerate(path.plan.legs, start=1)
@@ -176,13 +177,13 @@ def _path_table(found: TerrainSurvey, path: PlannedPath) -> TextTable:
         "(--start)",
         f"{path.plan.length_m:.3f} m long, ends at x {end[0]:.3f} m, y {end[1]:.3f} m, "
         f"heading {math.degrees(end[2]):.1f} deg, {1e3 * path.miss_m:.1f} mm from the target",
-        *_place_notes(path, found.light()),
+        *_place_notes(path, survey.light()),
         f"under the footprint: slope {path.max_slope_deg:.2f} of {limits.max_slope_deg:g} deg, step "
-        f"{_known(path.max_step_m)} of {limits.max_step_m:g} m; nearest hazard {path.min_hazard_distance_m:.2f} m, "
+        f"{_metres(path.max_step_m)} of {limits.max_step_m:g} m; nearest hazard {path.min_hazard_distance_m:.2f} m, "
         f"{limits.hazard_distance_m:g} m to be kept",
         *(
             f"{one['length_m']:.1f} m looked at on {one['terrain']}, every {one['spacing_m']:g} m"
-            for one in found.checked
+            for one in survey.checked
         ),
     ]
     return TextTable(headers, rows, title=path.plan.name, notes=notes)
@@ -204,9 +205,78 @@ def _place_notes(path: PlannedPath, light: Mapping[str, Any]) -> list[str]:
     return notes + ([f"in shadow: {light['sun']['path_shadow_share']:.1%} of the path"] if light else [])
 
 
-def _known(length_m: float) -> str:
+def _metres(length_m: float) -> str:
     return "unknown" if math.isnan(length_m) else f"{length_m:.3f}"
 
 
 def _radius(curvature_per_m: float) -> str:
     return f"{1.0 / abs(curvature_per_m):.2f}" if abs(curvature_per_m) > 1e-4 else "-"
+
+
+def mission_tables(planned: PlannedMission) -> list[TextTable]:
+    """What becomes of the targets, and the timetable of the legs."""
+    return [_targets(planned), _legs(planned)]
+
+
+def _targets(planned: PlannedMission) -> TextTable:
+    driven, mission, chance = planned.driven, planned.driven.mission, planned.chance
+    rows = [
+        [
+            one.target.name,
+            one.fate,
+            clock(one.arrival_s) if one.fate == "reached" else "-",
+            f"{100 * one.safe.mean():.0f}" if one.fate == "reached" else "-",
+        ]
+        for one in driven.targets
+    ]
+    whole = driven.reached == len(driven.targets)
+    chance_text = (
+        f"kept with {100 * (1 - chance.risk):.0f} % ({100 * (1 - chance.high):.0f} to {100 * (1 - chance.low):.0f} %)"
+    )
+    verdict = chance_text if whole else f"{driven.reached} of {len(driven.targets)} targets reached"
+    budget = "" if mission.time_budget_s == float("inf") else f" of {clock(mission.time_budget_s)}"
+    notes = [
+        *(f"{one.target.name}: {one.why}" for one in driven.targets if one.why),
+        f"takes {clock(driven.end_s)}{budget}, of which {clock(driven.waited_s)} waiting for communication",
+        *planned.soils.inputs.soil_notes(driven.safe.size, 0),
+        *planned.notes(),
+    ]
+    headers = ["target", "fate", "arrival [h:min]", "kept [%]"]
+    return TextTable(headers, rows, title=f"{mission.name}: {verdict}", notes=notes)
+
+
+def _legs(planned: PlannedMission) -> TextTable:
+
+    from lunarsci.twin.judgement.quantities import least_of_95
+
+    rows = [_row(leg) for leg in planned.driven.legs]
+    headers = ["leg", "to", "begin", "waited", "drive [min]", "m", "sd [m]", "kept [%]"]
+    notes = ["begin and waited: h:min; sd: of the end, along its larger axis, before the rover is localised"]
+    if charges := [leg.charge for leg in planned.driven.legs if leg.charge is not None]:
+        headers.append("left [%]")
+        rows = [[*row, f"{100 * least_of_95(charge):z.0f}"] for row, charge in zip(rows, charges, strict=True)]
+        notes.append("left: of the battery at the end of the leg, in 95 % of the drives; below 0 what is missing")
+    return TextTable(headers, rows, title="legs", notes=notes)
+
+
+def _row(leg: MissionLeg) -> list[str]:
+    return [
+        str(leg.number),
+        leg.target,
+        clock(leg.begin_s),
+        clock(leg.waited_s) if leg.waited_s else "-",
+        f"{leg.drive_s / 60:.1f}",
+        f"{leg.plan.length_m:.1f}",
+        f"{leg.spread_m:.2f}",
+        f"{100 * leg.safe.mean():.0f}",
+    ]
+
+
+def clock(time_s: float) -> str:
+    """Hours and minutes.
+
+    >>> clock(3720.0)
+    '1:02'
+    """
+    hours, minutes = divmod(round(time_s / 60), 60)
+    return f"{hours}:{minutes:02d}"

@@ -17,10 +17,10 @@ from lunarsci.twin.judgement.safety import Judgement, Verdict, headword
 from lunarsci.twin.judgement.tables import check_loads, load_notes
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import SPREAD, Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable
+from ..shared.talk import progress
 from .options import AS_WRITTEN, BEFORE, CHARGE, DRIVE, EXACT_TERRAIN, KEEP_OUT, RUTS, SUN, PlanFile
 
 if TYPE_CHECKING:
@@ -83,14 +83,14 @@ def predict(
     if animate is not None:
         _check_film(output, animate)
     with progress("driving", quiet=output.quiet) as update:
-        found = job.predict(plan, request, progress=update)
-    films = {} if animate is None else {animate: lambda: _film(found, animate, output.quiet)}
-    return Report.of(found, result_tables(found), files=found.files(), extras=films)
+        predicted = job.predict(plan, request, progress=update)
+    films = {} if animate is None else {animate: lambda: _film(predicted, animate, output.quiet)}
+    return Report(predicted, result_tables(predicted), files=predicted.files(), extras=films)
 
 
-def result_tables(found: PredictedDrives) -> list[TextTable]:
+def result_tables(predicted: PredictedDrives) -> list[TextTable]:
     """The verdict with its limits, and what it hangs on."""
-    return [*_verdict_tables(found), *_sensitivity_tables(found)]
+    return [*_verdict_tables(predicted), *_sensitivity_tables(predicted)]
 
 
 def _check_film(output: Output, animate: Path) -> None:
@@ -99,9 +99,9 @@ def _check_film(output: Output, animate: Path) -> None:
     check_format(animate)
 
 
-def _film(found: PredictedDrives, target: Path, quiet: bool) -> bytes:
+def _film(predicted: PredictedDrives, target: Path, quiet: bool) -> bytes:
     with progress("filming", quiet=quiet) as update:
-        return found.film(target, update)
+        return predicted.film(target, update)
 
 
 NEXT = (
@@ -125,28 +125,28 @@ QUANTITIES = {"sinkage_m": ("sinkage", "mm", 1e3)}
 """Names, units and factors of quantities that tables show otherwise than files: sinkage in mm throughout."""
 
 
-def _verdict_tables(found: PredictedDrives) -> list[TextTable]:
+def _verdict_tables(predicted: PredictedDrives) -> list[TextTable]:
     """The verdict for people: head line, limits, notes."""
 
-    verdict, prediction = found.verdict, found.prediction
+    verdict, prediction = predicted.verdict, predicted.prediction
     rows = [_limit_row(limit) for limit in verdict.limits]
     drives = "1 drive" if prediction.members == 1 else f"{prediction.members} drives"
-    said = f"{headword(verdict)}{', doubtful' if found.soils.doubt else ''}"
+    head = f"{headword(verdict)}{', doubtful' if predicted.soils.doubt else ''}"
     title = (
-        f"{said}: {prediction.plan.name}; {drives} of {short_name(prediction.rover.name)} on {prediction.terrain.name}"
+        f"{head}: {prediction.plan.name}; {drives} of {short_name(prediction.rover.name)} on {prediction.terrain.name}"
     )
     notes = [
-        *([found.soils.doubt] if found.soils.doubt else []),
-        *found.inputs.soil_notes(prediction.members, len(prediction.parameters)),
-        *found.inputs.remarks,
+        *([predicted.soils.doubt] if predicted.soils.doubt else []),
+        *predicted.inputs.soil_notes(prediction.members, len(prediction.parameters)),
+        *predicted.inputs.remarks,
         *_endpoint_notes(verdict),
-        *_terrain_notes(found),
+        *_terrain_notes(predicted),
         *_keep_out_notes(verdict),
         *verdict.reasons,
         *([] if verdict.verdict == "go" else [NEXT]),
         *verdict.notes,
         *load_notes(check_loads(prediction)),
-        *_energy_notes(found),
+        *_energy_notes(predicted),
         _worst_note(verdict),
     ]
     share = verdict.limits[0].share if verdict.limits else 0.95
@@ -167,34 +167,34 @@ def _limit_row(limit: Judgement) -> list[str]:
     ]
 
 
-def _energy_notes(found: PredictedDrives) -> list[str]:
+def _energy_notes(predicted: PredictedDrives) -> list[str]:
 
-    energy = energy_record(found.prediction)
+    energy = energy_record(predicted.prediction)
     if energy is None:
         return []
     return [
         f"motors at the wheels: {energy['p50_j']:.4g} J (p50), {energy['p95_j']:.4g} J (95 % of drives) in "
         f"{energy['duration_s']:.0f} s; losses of motors, gears and electronics are not in it",
-        *_power_notes(found),
+        *_power_notes(predicted),
     ]
 
 
-def _power_notes(found: PredictedDrives) -> list[str]:
+def _power_notes(predicted: PredictedDrives) -> list[str]:
 
-    power = found.prediction.rover.power
-    if found.power is None or power is None:
+    power = predicted.prediction.rover.power
+    if predicted.power is None or power is None:
         return []
-    record = power_record(found.prediction, found.power)
+    record = power_record(predicted.prediction, predicted.power)
     light = record["panels"]["lit_share"]
     sun = "no Sun given" if light is None else f"panels give {record['panels']['p50_wh']:.3g} Wh, {light:.0%} of it lit"
     empty = record["empty_drives"]
-    assumed = " (assumed)" if "power.battery_wh" in found.inputs.description.assumed else ""
+    assumed = " (assumed)" if "power.battery_wh" in predicted.inputs.description.assumed else ""
     return [
         f"electrical: {record['drawn']['p50_wh']:.3g} Wh (p50), {record['drawn']['p95_wh']:.3g} Wh (95 % of drives); "
         f"{sun}",
         f"battery of {power.battery_wh:g} Wh{assumed}: down to {record['battery']['p50_least_wh']:.4g} Wh (p50), "
         f"{record['battery']['p05_least_wh']:.4g} Wh (95 % of drives)"
-        + (f"; empty in {empty} of {found.prediction.members} drives" if empty else ""),
+        + (f"; empty in {empty} of {predicted.prediction.members} drives" if empty else ""),
     ]
 
 
@@ -203,8 +203,8 @@ def _worst_note(verdict: Verdict) -> str:
     return f"worst drive: member {verdict.worst.member}{f' ({soil})' if soil else ''}, {verdict.worst.why}"
 
 
-def _sensitivity_tables(found: PredictedDrives) -> list[TextTable]:
-    shares, step_error = found.sensitivity or [], found.step_error_m
+def _sensitivity_tables(predicted: PredictedDrives) -> list[TextTable]:
+    shares, step_error = predicted.sensitivity or [], predicted.step_error_m
     rows = [[share.parameter, f"{share.x_m:.3f}", f"{share.y_m:.3f}", f"{100 * share.share:.0f} %"] for share in shares]
     notes = [] if step_error is None else [f"the time step puts ends off by about {1e3 * step_error:.1f} mm"]
     if not rows:
@@ -213,16 +213,16 @@ def _sensitivity_tables(found: PredictedDrives) -> list[TextTable]:
     return [TextTable(headers, rows, title="What moves the end", notes=notes)]
 
 
-def _terrain_notes(found: PredictedDrives) -> list[str]:
+def _terrain_notes(predicted: PredictedDrives) -> list[str]:
     """What errors of the terrain make of the drives."""
-    shares = found.terrain_shares
+    shares = predicted.terrain_shares
     if shares is None:
-        return ["every drive has a ground of its own"] if found.prediction.draws is not None else []
+        return ["every drive has a ground of its own"] if predicted.prediction.draws is not None else []
     parts = {"end": shares.end, "slip": shares.slip_ratio, "tilt": shares.tilt_deg, "sinkage": shares.sinkage_m}
-    said = ", ".join(f"{name} {100 * share:.0f} %" for name, share in parts.items() if share is not None)
+    of_each = ", ".join(f"{name} {100 * share:.0f} %" for name, share in parts.items() if share is not None)
     return [
         f"every drive has a ground of its own: errors of the terrain move ends by {1e3 * shares.end_m:.0f} mm (rms), "
-        f"and are of the variance of {said} ({shares.pairs} pairs)"
+        f"and are of the variance of {of_each} ({shares.pairs} pairs)"
     ]
 
 

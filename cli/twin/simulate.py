@@ -9,10 +9,10 @@ import typer
 from lunarsci.twin.jobs.requests import SimulateDriveRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable
+from ..shared.talk import progress
 from .options import BEFORE, GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, RUTS, SEED, TERRAIN, TIME_STEP, PlanFile
 
 if TYPE_CHECKING:
@@ -60,12 +60,12 @@ def simulate(output: Output, request: SimulateDriveRequest, plan: PlanFile = Non
     from lunarsci.twin.jobs.simulate import simulate_drive
 
     with progress("driving", quiet=output.quiet) as update:
-        found = simulate_drive(plan, request, progress=update)
-    return Report.of(found, [_table(found)], files=found.files(), figures=None)
+        drive = simulate_drive(plan, request, progress=update)
+    return Report(drive, [_table(drive)], files=drive.files())
 
 
-def _table(found: MadeUpDrive) -> TextTable:
-    errors, result = found.drive.errors, found.to_dict()
+def _table(made: MadeUpDrive) -> TextTable:
+    errors, result = made.drive.errors, made.to_dict()
     rows = [
         ["localised positions", str(result["positions"]), f"{1e3 * errors.position_m:.3g} mm"],
         ["heading", str(result["rows"]), f"{errors.yaw_deg:.3g} deg"],
@@ -76,8 +76,8 @@ def _table(found: MadeUpDrive) -> TextTable:
         ["depth of the track", str(result["track_points"]), f"{1e3 * errors.track_m:.3g} mm"],
     ]
     halts = result.get("halts", [])
-    if found.drive.prediction.plan.fixes is not None:
-        sigma = found.drive.prediction.plan.fixes.position_sigma_m
+    if made.drive.prediction.plan.fixes is not None:
+        sigma = made.drive.prediction.plan.fixes.position_sigma_m
         rows.insert(1, ["of these at halts", str(len(halts)), f"{1e3 * sigma:.3g} mm"])
     notes = [
         "Synthetic: made up, not a measurement. The track is as deep as the deepest wheel that passed.",

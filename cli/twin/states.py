@@ -9,8 +9,8 @@ import typer
 from lunarsci.twin.jobs.requests import StatesRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import option
-from ..shared.report import Report
 from ..shared.table import TextTable, plus_minus
 from .forces import spread_headers
 from .options import GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, TERRAIN
@@ -81,56 +81,60 @@ def states(telemetry: Telemetry, request: StatesRequest, plan: DrivenPlan = None
     """
     from lunarsci.twin.jobs.states import states
 
-    found = states(telemetry, plan, request)
-    return Report.of(found, result_tables(found), files=found.files())
+    result = states(telemetry, plan, request)
+    return Report(result, result_tables(result), files=result.files())
 
 
-def result_tables(found: MeasuredStates) -> list[TextTable]:
-    result = found.to_dict()
-    return [_wheel_table(found, result), *_finding_tables(result["findings"])]
+def result_tables(result: MeasuredStates) -> list[TextTable]:
+    record = result.to_dict()
+    return [_wheel_table(result, record), *_finding_tables(record["findings"])]
 
 
-def _wheel_table(found: MeasuredStates, result: dict[str, Any]) -> TextTable:
+def _wheel_table(result: MeasuredStates, record: dict[str, Any]) -> TextTable:
     from lunarsci.twin.jobs.states import DEEPEST
 
     rows = [
-        [wheel, str(own["measured"]), *(cell for name, factor in FACTORS.items() for cell in _cells(own[name], factor))]
-        for wheel, own in result["wheels"].items()
+        [
+            wheel,
+            str(row["measured"]),
+            *(cell for name, factor in FACTORS.items() for cell in _cells(row[name], factor)),
+        ]
+        for wheel, row in record["wheels"].items()
     ]
-    changes = result["slip_changes"]["ahead"]
+    changes = record["slip_changes"]["ahead"]
     notes = [
-        f"the rover drove {result['distance_m']:.3g} m in {result['duration_s']:.4g} s; its wheels rolled "
-        f"{result['wheel_distance_m']:.3g} m",
-        f"{result['positions']} positions scatter about the motion with a reduced chi-square of "
-        f"{result['reduced_chi_square']:.2f}",
+        f"the rover drove {record['distance_m']:.3g} m in {record['duration_s']:.4g} s; its wheels rolled "
+        f"{record['wheel_distance_m']:.3g} m",
+        f"{record['positions']} positions scatter about the motion with a reduced chi-square of "
+        f"{record['reduced_chi_square']:.2f}",
         f"slip varies by about {changes['amplitude']:.2g} over {changes['length_m']:.2g} m of the way, apart from "
         f"slopes (known to a factor of {changes['amplitude_factor']:.2g})",
-        DEEPEST if result["sinkages"] else "no sinkage: give the depth of the track with --track",
+        DEEPEST if record["sinkages"] else "no sinkage: give the depth of the track with --track",
     ]
-    if put_back := result["lag"]["put_back_s"]:
+    if put_back := record["lag"]["put_back_s"]:
         notes.append(f"positions, headings and attitude were put back by {put_back:g} s to their wheels (--lag)")
-    notes.append(_rolling_note(found, result))
-    if not found.planned:
+    notes.append(_rolling_note(result, record))
+    if not result.planned:
         notes.append("clock, commands and speed were not compared with a plan: none was given")
-    elif found.drive.pace is not None and not found.drive.pace.off:
-        notes.append(found.drive.pace.text)
-    if result["synthetic"]:
+    elif result.drive.pace is not None and not result.drive.pace.off:
+        notes.append(result.drive.pace.text)
+    if record["synthetic"]:
         notes.append("the telemetry is synthetic")
-    if result["terrain"]["synthetic"]:
+    if record["terrain"]["synthetic"]:
         notes.append("the terrain is synthetic")
     headers = [head for name in ("slip [-]", "side slip [deg]", "sinkage [mm]") for head in spread_headers(name)]
-    title = f"{found.title}; medians ± error of one state"
+    title = f"{result.title}; medians ± error of one state"
     return TextTable(["wheel", "states", *headers], rows, title=title, notes=notes)
 
 
-def _rolling_note(found: MeasuredStates, result: dict[str, Any]) -> str:
+def _rolling_note(result: MeasuredStates, record: dict[str, Any]) -> str:
     """Which radius slip is of, and what it would be of the shell's."""
-    wheel = found.drive.rover.wheel
+    wheel = result.drive.rover.wheel
     rolling, shell = 1e3 * wheel.shearing_radius_m, 1e3 * wheel.radius_m
     note = f"slip is that of the rolling radius r_s = {rolling:.4g} mm: the wheel's {shell:.4g} mm"
     if wheel.shearing_radius_m == wheel.radius_m:
         return note
-    slips = [own["slip_ratio"]["median"] for own in result["wheels"].values() if own["slip_ratio"]["count"]]
+    slips = [values["slip_ratio"]["median"] for values in record["wheels"].values() if values["slip_ratio"]["count"]]
     part = f"{note}, and {wheel.grouser_shear_coefficient:g} of the grousers' {1e3 * wheel.grouser_height_m:.4g} mm"
     if not slips:
         return part
@@ -138,10 +142,10 @@ def _rolling_note(found: MeasuredStates, result: dict[str, Any]) -> str:
     return f"{part}; of the wheel's radius alone it would be {of_shell:.3f} on average"
 
 
-def _cells(found: dict[str, Any], factor: float) -> list[str]:
-    if not found["count"]:
+def _cells(values: dict[str, Any], factor: float) -> list[str]:
+    if not values["count"]:
         return ["-", "-"]
-    middle, low, high, sigma = (factor * found[name] for name in ("median", "low", "high", "sigma"))
+    middle, low, high, sigma = (factor * values[name] for name in ("median", "low", "high", "sigma"))
     return [plus_minus(middle, sigma), f"{low:.3g} to {high:.3g}"]
 
 

@@ -9,10 +9,10 @@ import typer
 from lunarsci.twin.jobs.requests import SweepRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable
+from ..shared.talk import progress
 from .options import CHARGE, DRIVE, EXACT_TERRAIN, SUN
 
 if TYPE_CHECKING:
@@ -53,8 +53,8 @@ def sweep(output: Output, request: SweepRequest, plans: Plans = None) -> Report:
     from lunarsci.twin.jobs import sweep as job
 
     with progress("designs", quiet=output.quiet) as update:
-        found = job.sweep(plans, request, progress=update)
-    return Report.of(found, result_tables(found))
+        trade = job.sweep(plans, request, progress=update)
+    return Report(trade, result_tables(trade))
 
 
 HEADERS = (
@@ -63,25 +63,25 @@ HEADERS = (
 )  # fmt: skip
 
 
-def result_tables(found: DesignTrade) -> list[TextTable]:
-    names = [entry.name for entry in found.variations]
-    rows = [[*(f"{row[name]:.4g}" for name in names), *_cells(row)] for row in found.rows() if not row["impossible"]]
-    headers, possible = [*names, *HEADERS], [row for row in found.rows() if not row["impossible"]]
+def result_tables(trade: DesignTrade) -> list[TextTable]:
+    names = [entry.name for entry in trade.variations]
+    rows = [[*(f"{row[name]:.4g}" for name in names), *_cells(row)] for row in trade.rows() if not row["impossible"]]
+    headers, possible = [*names, *HEADERS], [row for row in trade.rows() if not row["impossible"]]
     if any(row["least_charge"] is not None for row in possible):
         headers.append("battery left [%]")
         rows = [[*cells, f"{100 * row['least_charge']:z.0f}"] for cells, row in zip(rows, possible, strict=True)]
-    drives = next((design.outcome.drives for design in found.designs if design.outcome), 0)
-    plans = ", ".join(soils.inputs.plan.name for soils in found.soils)
+    drives = next((design.outcome.drives for design in trade.designs if design.outcome), 0)
+    plans = ", ".join(soils.inputs.plan.name for soils in trade.soils)
     each = "1 drive each" if drives == 1 else f"{drives} drives each"
-    title = f"{len(found.designs)} designs of {found.inputs.rover.name}: {plans}; {each}"
+    title = f"{len(trade.designs)} designs of {trade.inputs.rover.name}: {plans}; {each}"
     notes = [
         "* no other design keeps more drives and needs less work",
-        *(f"{name} changed nothing: no drive of this mission depends on it" for name in found.unused),
-        *found.inputs.remarks,
+        *(f"{name} changed nothing: no drive of this mission depends on it" for name in trade.unused),
+        *trade.inputs.remarks,
     ]
-    if found.inputs.terrain.synthetic:
+    if trade.inputs.terrain.synthetic:
         notes.append("the terrain is synthetic; the trade says nothing about a real site")
-    out = [[*(f"{row[name]:.4g}" for name in names), row["impossible"]] for row in found.rows() if row["impossible"]]
+    out = [[*(f"{row[name]:.4g}" for name in names), row["impossible"]] for row in trade.rows() if row["impossible"]]
     impossible = [TextTable([*names, "why"], out, title="Impossible designs")] if out else []
     return [TextTable(headers, rows, title=title, notes=notes), *impossible]
 

@@ -9,10 +9,10 @@ import typer
 from lunarsci.twin.jobs.requests import TerrainRequest
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable
+from ..shared.talk import progress
 from .options import GRAVITY, KEEP_OUT
 
 if TYPE_CHECKING:
@@ -70,8 +70,8 @@ def terrain(
 
     check_files(output, soil=request.soil is not None, geotiff=geotiff)
     with progress("looking at the ground", quiet=output.quiet) as update:
-        found = job.terrain(terrain, request, progress=update)
-    return Report.of(found, [ground_table(found)], files=found.files(geotiff=geotiff))
+        survey = job.terrain(terrain, request, progress=update)
+    return Report(survey, [ground_table(survey)], files=survey.files(geotiff=geotiff))
 
 
 def check_files(output: Output, *, soil: bool, geotiff: bool) -> None:
@@ -81,13 +81,13 @@ def check_files(output: Output, *, soil: bool, geotiff: bool) -> None:
             raise typer.BadParameter(f"{name} goes into a file; give -o DIR, or leave it out")
 
 
-def ground_table(found: TerrainSurvey) -> TextTable:
+def ground_table(survey: TerrainSurvey) -> TextTable:
     """The maps beside their limits, for people."""
-    result, limits, maps = found.to_dict(), found.site.mobility, found.surface.maps
-    terrain = result["terrain"]
+    record, limits, maps = survey.to_dict(), survey.site.mobility, survey.surface.maps
+    terrain = record["terrain"]
     unlimited = {"slope_deg": limits.max_slope_deg, "roughness_m": limits.max_roughness_m, "step_m": limits.max_step_m}
     rows = []
-    for name, spread in result["maps"].items():
+    for name, spread in record["maps"].items():
         limit = unlimited[name]
         cells = ["-" if value is None else f"{value:.4g}" for value in spread.values()]
         rows.append([name, *cells, "-" if limit is None else f"{limit:g}"])
@@ -98,11 +98,11 @@ def ground_table(found: TerrainSurvey) -> TextTable:
     )
     notes = [
         f"heights {terrain['height_m'][0]:.3f} to {terrain['height_m'][1]:.3f} m, holes {terrain['hole_share']:.1%}",
-        f"may be driven on: {result['traversable_share']:.1%}; hazards {result['hazard_share']:.1%}; "
-        f"unknown, near holes or the edge, {result['unknown_share']:.1%}",
+        f"may be driven on: {record['traversable_share']:.1%}; hazards {record['hazard_share']:.1%}; "
+        f"unknown, near holes or the edge, {record['unknown_share']:.1%}",
         f"slope and roughness under {maps.baseline_m:g} m x {maps.baseline_m:g} m"
         + (f", step heights, slope removed, within {maps.wheel_window_m:g} m" if maps.shows_steps else ""),
-        *([f"in shadow: {result['sun']['shadow_share']:.1%}"] if "sun" in result else []),
-        *result["notes"],
+        *([f"in shadow: {record['sun']['shadow_share']:.1%}"] if "sun" in record else []),
+        *record["notes"],
     ]
     return TextTable(["map", "p5", "p50", "p95", "max", "limit"], rows, title=title, notes=notes)

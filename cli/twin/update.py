@@ -17,11 +17,11 @@ from lunarsci.twin.jobs.requests import UpdateRequest
 from lunarsci.twin.jobs.update import LearnedSoil
 
 from ..shared.command import command
+from ..shared.emit import Report
 from ..shared.options import SPREAD, Output, option
-from ..shared.progress import progress
-from ..shared.report import Report
 from ..shared.table import TextTable
-from .belief_tables import discrepancy_table, parameter_table
+from ..shared.talk import progress
+from .history import discrepancy_table, parameter_table
 from .options import AS_WRITTEN, GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, TERRAIN
 
 if TYPE_CHECKING:
@@ -119,44 +119,50 @@ def update(
     output.check_extra("--save-terrain", save_terrain, (".npz",))
     asked = dataclasses.replace(request, by_place=save_map is not None or save_terrain is not None)
     with progress("driving on many soils", quiet=output.quiet) as advance:
-        found = job.update(states, asked, progress=advance)
-    made = {save: lambda: found.belief.to_json().encode(), save_map: found.map_bytes, save_terrain: found.terrain_bytes}
-    return Report.of(found, result_tables(found), extras={path: make for path, make in made.items() if path})
+        learned = job.update(states, asked, progress=advance)
+    made = {
+        save: lambda: learned.belief.to_json().encode(),
+        save_map: learned.map_bytes,
+        save_terrain: learned.terrain_bytes,
+    }
+    return Report(learned, result_tables(learned), extras={path: make for path, make in made.items() if path})
 
 
-def result_tables(found: LearnedSoil) -> list[TextTable]:
+def result_tables(learned: LearnedSoil) -> list[TextTable]:
 
-    known = found.known
-    title = f"Soil after {found.states.name}: {known.plan.name}; {short_name(known.rover.name)} on {known.terrain.name}"
+    given = learned.known
+    title = (
+        f"Soil after {learned.states.name}: {given.plan.name}; {short_name(given.rover.name)} on {given.terrain.name}"
+    )
     tables = [
-        parameter_table(parameter_rows(found.belief), title, _notes(found)),
-        discrepancy_table(found.belief.discrepancy),
+        parameter_table(parameter_rows(learned.belief), title, _notes(learned)),
+        discrepancy_table(learned.belief.discrepancy),
     ]
-    return tables if len(found.segments or []) < 2 else [*tables, _segment_table(found.segments or [])]
+    return tables if len(learned.segments or []) < 2 else [*tables, _segment_table(learned.segments or [])]
 
 
 def _notes(learned: LearnedSoil) -> list[str]:
 
-    found = learned.found
+    update = learned.found
     notes = [
-        f"learned from {found.learned_from}; {int(found.outliers.sum())} outliers, reduced chi-square "
-        f"{found.reduced:.2f}",
-        f"surprise: the soil found lies {found.prior_shift:.2f} standard deviations from what was believed before "
+        f"learned from {update.learned_from}; {int(update.outliers.sum())} outliers, reduced chi-square "
+        f"{update.reduced:.2f}",
+        f"surprise: the soil found lies {update.prior_shift:.2f} standard deviations from what was believed before "
         f"(about 1 or less as expected, above {SURPRISING:g} look whether it is the same ground)",
         *learned.doubts,
-        *learned.before.cautions(found),
+        *learned.before.cautions(update),
         *_slip_notes(learned),
     ]
-    if found.prediction.ruts:
+    if update.prediction.ruts:
         notes.append("wheels that follow met the ruts of those before them; so they will where this soil is driven on")
-    for name, factor in found.inflation.items():
+    for name, factor in update.inflation.items():
         notes.append(f"errors of {name} are taken {factor:.1f} times as large: no soil explains it better")
-    for name, size in found.wheel_errors.items():
+    for name, size in update.wheel_errors.items():
         notes.append(f"single wheels are off in {name} by {size:.2g} throughout, which was allowed for")
     notes.extend(change.text for change in learned.changes)
     if learned.changes and learned.segments is None:
         notes.append("--save-map learns the soil of each stretch on its own")
-    if not found.settled:
+    if not update.settled:
         notes.append("the soils have not spread out; take more particles, or intervals are too narrow")
     return [*notes, *_mass_notes(learned), EFFECTIVE]
 
@@ -188,8 +194,8 @@ def _segment_table(segments: list[Segment]) -> TextTable:
     """Stretches of the way side by side."""
     columns = []
     for segment in segments:
-        left, known = segment.belief.sd_ratio, segment.belief.intervals().items()
-        columns.append({name: f"{row[0]:.4g} ({100 * left[name]:.0f} %)" for name, row in known})
+        left, intervals = segment.belief.sd_ratio, segment.belief.intervals().items()
+        columns.append({name: f"{row[0]:.4g} ({100 * left[name]:.0f} %)" for name, row in intervals})
     notes = [
         f"{segment.from_m:.1f} to {segment.to_m:.1f} m: stays at what was believed: {segment.why_not}"
         for segment in segments

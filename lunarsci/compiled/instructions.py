@@ -107,7 +107,7 @@ def _offer(
     forms: Sequence[Sequence[Any]] = ((types.VarArg(types.Any),),),  # type: ignore[attr-defined]
 ) -> None:
     """Let compiled code that calls `symbol` have the instructions of `function`."""
-    known: dict[Any, Any] = {}
+    signatures: dict[Any, Any] = {}
 
     class Written(AbstractTemplate):  # type: ignore[misc]
         key = symbol
@@ -118,9 +118,9 @@ def _offer(
                 raise TypingError("a formula takes its arguments by their places")
             if not allowed(args):
                 return None
-            if args not in known:
-                known[args] = typing.signature(_result_kind(function, args), *args)
-            return known[args]
+            if args not in signatures:
+                signatures[args] = typing.signature(_result_kind(function, args), *args)
+            return signatures[args]
 
     def lowered(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return _value(context, builder, function(*map(partial(_traced, context, builder), signature.args, arguments)))

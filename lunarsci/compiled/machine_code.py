@@ -8,6 +8,8 @@ function keeps its own copies to itself.
 **The cache.** Numba renews a cached function when its own file changes. Here it is renewed when any file changes that
 its own one imports, and compiled again where its entry is cut off or was changed. It is read by pickle, so that whoever
 may write it runs what he likes: a folder that others can write is not used.
+
+It is our own since numba promises neither.
 """
 
 import contextlib
@@ -73,15 +75,15 @@ def why_unsafe(folder: Path, shared: bool = False) -> str:
     """
     if not hasattr(os, "getuid"):
         return ""
-    found = folder.stat()
-    if found.st_uid not in (ROOT, os.getuid()):
+    status = folder.stat()
+    if status.st_uid not in (ROOT, os.getuid()):
         return f"{folder} belongs to another user"
-    others = found.st_mode & stat.S_IWOTH or (found.st_mode & stat.S_IWGRP and not _is_own_group(found.st_gid))
-    kept_apart = shared and found.st_mode & stat.S_ISVTX
-    return f"{folder} can be written by others" if others and not kept_apart else ""
+    others = status.st_mode & stat.S_IWOTH or (status.st_mode & stat.S_IWGRP and not _is_private_group(status.st_gid))
+    sticky = shared and status.st_mode & stat.S_ISVTX
+    return f"{folder} can be written by others" if others and not sticky else ""
 
 
-def _is_own_group(number: int) -> bool:
+def _is_private_group(number: int) -> bool:
     import grp
     import pwd
 
@@ -102,12 +104,12 @@ def keep_copies_apart() -> None:
     Where numba's inside is another than is known here, it is left as it is; then last digits may depend on what was
     compiled or loaded before.
     """
-    known = getattr(CPUCodeLibrary, "_optimize_final_module", None)
-    if known is None or getattr(known, "keeps_copies_apart", False):
+    original = getattr(CPUCodeLibrary, "_optimize_final_module", None)
+    if original is None or getattr(original, "keeps_copies_apart", False):
         return
 
     def optimized(library: Any) -> None:
-        known(library)
+        original(library)
         with contextlib.suppress(AttributeError):
             _keep_to_itself(library)
 
@@ -131,8 +133,8 @@ def _keep_to_itself(library: Any) -> None:
 def tend_cache(dispatcher: Any) -> None:
     """Give a function that numba caches a cache that knows all its sources and notices damage."""
     with contextlib.suppress(AttributeError):
-        own, base = dispatcher._cache, dispatcher._cache._impl.filename_base
-        own._cache_file = _Entries(own._cache_path, base, dispatcher.py_func.__code__.co_filename)
+        cache, base = dispatcher._cache, dispatcher._cache._impl.filename_base
+        cache._cache_file = _Entries(cache._cache_path, base, dispatcher.py_func.__code__.co_filename)
 
 
 class _Entries(IndexDataCacheFile):  # type: ignore[misc]
@@ -166,9 +168,9 @@ class _Entries(IndexDataCacheFile):  # type: ignore[misc]
             return {}
 
     def _load_data(self, name: str) -> Any:
-        found = Path(self._data_path(name)).read_bytes()
-        payload = found[DIGEST_BYTES:]
-        if found[:DIGEST_BYTES] != self._digest(payload):
+        stored = Path(self._data_path(name)).read_bytes()
+        payload = stored[DIGEST_BYTES:]
+        if stored[:DIGEST_BYTES] != self._digest(payload):
             raise OSError("not as it was written")  # to numba: no such entry
         return pickle.loads(payload)
 
@@ -201,12 +203,12 @@ def changed_since(source: str, moment_s: float) -> bool:
 @cache
 def sources(source: str) -> tuple[Path, ...]:
     """A file of this package and all of the package that it imports, directly or not, in order."""
-    found, wanted = {Path(source)}, [Path(source)]
+    reached, wanted = {Path(source)}, [Path(source)]
     while wanted:
-        for path in _imported(wanted.pop()) - found:
-            found.add(path)
+        for path in _imported(wanted.pop()) - reached:
+            reached.add(path)
             wanted.append(path)
-    return tuple(sorted(found))
+    return tuple(sorted(reached))
 
 
 @cache

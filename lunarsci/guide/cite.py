@@ -27,7 +27,7 @@ LONGEST_PLACE = 80
 """Letters of a place without a volume, such as a conference or a book; more are a sentence."""
 SEVERAL = re.compile(r"; (?=[A-Z][^();]{1,120}? \((?:1[89]|20)\d\d\), )")
 """Between two references of one source: `Wang & Han (2016), ...; Lim et al. (2021), ...`."""
-OWN = "lunarsci"
+LUNARSCI = "lunarsci"
 """Its own work in `references.toml`."""
 BY_ROWS = ("reference_soils.csv", "band_chemistry.csv")
 """Tables of which a result names the sources of the rows that it used, so that no others are cited."""
@@ -39,7 +39,7 @@ NOT_FIELDS = ("type", "tables", "recalled")
 class Reference:
     """One source: the text that the result has, and what could be told from it; '' where it could not.
 
-    `work` is its entry in `references.toml`, empty where it is not there; `known` the entry's name.
+    `work` is its entry in `references.toml`, empty where it is not there; `entry` its name there.
     """
 
     text: str
@@ -49,7 +49,7 @@ class Reference:
     volume: str = ""
     page: str = ""
     doi: str = ""
-    known: str = ""
+    entry: str = ""
     work: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     @property
@@ -57,13 +57,13 @@ class Reference:
         """Such as ding2024; the same for two papers of one author and year, which `keyed` tells apart."""
         plain = unicodedata.normalize("NFKD", self.authors or self.text).encode("ascii", "ignore").decode()
         first = re.sub(r"[^a-z]", "", re.split(r"[\s,]", plain.lower())[0])
-        return self.known or f"{first or 'source'}{self.year}"
+        return self.entry or f"{first or 'source'}{self.year}"
 
     @property
     def same(self) -> str:
         """What two texts that name one work have in common, whatever they say it is cited for."""
         place = " ".join([self.authors, self.year, self.journal, self.volume, self.page]) if self.journal else self.text
-        return self.known or self.doi or place
+        return self.entry or self.doi or place
 
     @property
     def kind(self) -> str:
@@ -114,11 +114,11 @@ class CitedSources(Result):
     @property
     def keyed(self) -> dict[str, Reference]:
         """The references by keys that are different: ding2024, ding2024b and so on."""
-        found: dict[str, Reference] = {}
+        by_key: dict[str, Reference] = {}
         for one in self.references:
             letters = (f"{one.key}{letter}" for letter in ("", *"bcdefghijklmnopqrstuvwxyz"))
-            found[next(key for key in letters if key not in found)] = one
-        return found
+            by_key[next(key for key in letters if key not in by_key)] = one
+        return by_key
 
     @property
     def versions(self) -> list[str]:
@@ -135,9 +135,9 @@ class CitedSources(Result):
 
     def bibtex(self) -> str:
         """The entries, that of lunarsci first."""
-        own = reference_to(OWN)
+        lunarsci = reference_to(LUNARSCI)
         version = {"note": f"version {', '.join(self.versions)}"} if self.versions else {}
-        entries = [_entry(own.kind, OWN, own.fields | version)]
+        entries = [_entry(lunarsci.kind, LUNARSCI, lunarsci.fields | version)]
         for key, one in self.keyed.items():
             entries.append(_entry(one.kind, key, one.fields))
         return "\n".join(entries)
@@ -166,19 +166,19 @@ def reference_to(name: str, text: str = "") -> Reference:
     """A work of `references.toml` by its name; `text` as a result has it, made of its fields if ''."""
     work = works()[name]
     who, where = str(work.get("author", work.get("editor", ""))), str(work.get("journal", ""))
-    said = {key: str(work.get(key, "")) for key in ("year", "volume", "pages", "doi")}
+    cells = {key: str(work.get(key, "")) for key in ("year", "volume", "pages", "doi")}
     parts = (
         work.get("title"),
-        f"{where} {said['volume']}".strip(),
-        said["pages"],
-        said["doi"],
+        f"{where} {cells['volume']}".strip(),
+        cells["pages"],
+        cells["doi"],
         work.get("howpublished"),
     )
     place = ", ".join(part for part in parts if part)
     short = who.strip("{}") if who.count(" and ") < 4 else f"{who.split(' and ')[0]} and others"
-    whole = f"{short} ({said['year']}), {place}" if said["year"] else f"{short}, {place}"
+    whole = f"{short} ({cells['year']}), {place}" if cells["year"] else f"{short}, {place}"
     return Reference(
-        text or whole, who, said["year"], where, said["volume"], said["pages"], said["doi"], known=name, work=work
+        text or whole, who, cells["year"], where, cells["volume"], cells["pages"], cells["doi"], entry=name, work=work
     )
 
 
@@ -192,15 +192,15 @@ def _of_tables(names: Sequence[str]) -> Iterator[Reference]:
 
 def _cited(text: str) -> Reference:
     """A source of a result: the work that has its DOI, or where the result has none, its number, title or author."""
-    found = reference_of(text)
+    reference = reference_of(text)
     for name, work in works().items():
-        if found.doi and str(work.get("doi", "")).lower() == found.doi.lower():
+        if reference.doi and str(work.get("doi", "")).lower() == reference.doi.lower():
             return reference_to(name, text)
-        if not found.doi and (_is_report(work, text) or _is_titled(work, found)):
+        if not reference.doi and (_is_report(work, text) or _is_titled(work, reference)):
             return reference_to(name, text)
-    same = works().get(found.key, {})
-    alone = found.journal == "" or found.volume in ("", same.get("volume", found.volume))
-    return reference_to(found.key, text) if same and not found.doi and alone else found
+    same = works().get(reference.key, {})
+    alone = reference.journal == "" or reference.volume in ("", same.get("volume", reference.volume))
+    return reference_to(reference.key, text) if same and not reference.doi and alone else reference
 
 
 def _is_report(work: Mapping[str, Any], text: str) -> bool:
@@ -209,10 +209,10 @@ def _is_report(work: Mapping[str, Any], text: str) -> bool:
     return work.get("type") == "techreport" and re.search(rf"(?<![\w-]){number}(?![\w-])", text) is not None
 
 
-def _is_titled(work: Mapping[str, Any], found: Reference) -> bool:
+def _is_titled(work: Mapping[str, Any], cited: Reference) -> bool:
     """Whether a title stands where authors do, as in `Lunar Sourcebook (1991), ch. 9`."""
-    start = f"{found.authors}:"
-    return bool(found.authors) and found.year == work.get("year") and str(work.get("title", "")).startswith(start)
+    start = f"{cited.authors}:"
+    return bool(cited.authors) and cited.year == work.get("year") and str(work.get("title", "")).startswith(start)
 
 
 def reference_of(text: str) -> Reference:
@@ -223,16 +223,16 @@ def reference_of(text: str) -> Reference:
     ('clark1984', 'J. Geophys. Res.', '89', '6329', '10.1029/JB089iB07p06329')
     """
     doi = DOI.search(text)
-    found = REFERENCE.match(text)
-    if found is None:
+    parts = REFERENCE.match(text)
+    if parts is None:
         year = re.search(r"\b(1[89]\d\d|20\d\d)\b", text)
         return Reference(text, year=year[1] if year else "", doi=doi[1] if doi else "")
-    place = PLACE.match(found["rest"])
-    elsewhere = REMARK.split(found["rest"])[0].strip(" ,")
+    place = PLACE.match(parts["rest"])
+    elsewhere = REMARK.split(parts["rest"])[0].strip(" ,")
     return Reference(
         text,
-        authors=found["authors"],
-        year=found["year"],
+        authors=parts["authors"],
+        year=parts["year"],
         journal=place["journal"].strip() if place else elsewhere if len(elsewhere) < LONGEST_PLACE else "",
         volume=place["volume"] if place else "",
         page=(place["page"] or "") if place else "",
@@ -247,15 +247,15 @@ def cite(*results: Sequence[str | Path | Result] | str | Path | Result) -> Cited
     craters and priors; of reference soils and regressions of bands only those that the result used. Sources that
     differ only in what follows the DOI are one. Raises DataError for what is no result.
     """
-    given = [one for own in results for one in ([own] if isinstance(own, str | Path | Result) else own)]
+    given = [one for some in results for one in ([some] if isinstance(some, str | Path | Result) else some)]
     documents = read_results(given)[0] if given else []
     records = [document.provenance for document in documents]
     texts = [part for record in records for text in record.get("sources") or () for part in SEVERAL.split(str(text))]
     tables = [PurePath(str(one.get("name", one.get("path", "")))).name for record in records for one in _named(record)]
-    found: dict[str, Reference] = {}
+    by_work: dict[str, Reference] = {}
     for one in (*map(_cited, texts), *_of_tables(tables)):
-        found.setdefault(one.same, one)
-    return CitedSources(references=list(found.values()), documents=documents)
+        by_work.setdefault(one.same, one)
+    return CitedSources(references=list(by_work.values()), documents=documents)
 
 
 def _named(record: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:

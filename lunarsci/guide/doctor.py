@@ -27,8 +27,6 @@ STIFFNESS_KPA, SINKAGE_M, LOAD_N = 1443.0, 0.008, 32.03
 the load is that of F_N/b = 213.5 N/m on a wheel 0.15 m wide."""
 LOAD_WITHIN = 0.01
 """Share by which the load found may differ from the published one, whose digits allow as much; assumed."""
-CENTER_NM, CENTER_WITHIN_NM = 950.0, 5.0
-"""Centre of a Gaussian absorption that is made up, and how near to it the band must be found; assumed."""
 DRIVE_M, END_WITHIN_M = 0.6, 0.1
 """Length of a drive over nearly level ground, and how near to where it was planned it must end; assumed."""
 
@@ -39,7 +37,7 @@ class HealthCheck:
 
     part: str
     name: str
-    found: str
+    observed: str
     trouble: str = ""
 
 
@@ -64,7 +62,7 @@ class HealthReport(Result):
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """One a check."""
         return [
-            {"part": one.part, "name": one.name, "found": one.found, "trouble": one.trouble or None}
+            {"part": one.part, "name": one.name, "found": one.observed, "trouble": one.trouble or None}
             for one in self.checks
         ]
 
@@ -81,18 +79,18 @@ def doctor(*, progress: Callable[[int, int], None] = lambda done, total: None) -
 
 def _versions() -> HealthCheck:
     needed = [re.split(r"[^\w.-]", text)[0] for text in requires("lunarsci") or () if "extra ==" not in text]
-    found = {name: installed_version(name) for name in ("lunarsci", *needed)}
-    missing = [name for name, version in found.items() if version is None]
-    told = ", ".join(f"{name} {version}" for name, version in found.items() if version)
+    observed = {name: installed_version(name) for name in ("lunarsci", *needed)}
+    missing = [name for name, version in observed.items() if version is None]
+    named = ", ".join(f"{name} {version}" for name, version in observed.items() if version)
     trouble = f"not installed: {', '.join(missing)}; pip install lunarsci" if missing else ""
-    return HealthCheck("installation", "versions", f"python {platform.python_version()}, {told}", trouble)
+    return HealthCheck("installation", "versions", f"python {platform.python_version()}, {named}", trouble)
 
 
 def _extra(name: str) -> HealthCheck:
     """An extra that is not there is said, and is no trouble."""
     missing = [module for module in EXTRAS[name] if find_spec(module) is None]
-    found = f"not there; pip install 'lunarsci[{name}]'" if missing else "there"
-    return HealthCheck("installation", f"extra {name}", found)
+    observed = f"not there; pip install 'lunarsci[{name}]'" if missing else "there"
+    return HealthCheck("installation", f"extra {name}", observed)
 
 
 def _cache() -> HealthCheck:
@@ -124,37 +122,38 @@ def _tested(name: str, test: Callable[[], tuple[str, str]]) -> HealthCheck:
     """A test, timed; whatever it raises is trouble, for this is what a doctor is asked for."""
     begin = time.monotonic()
     try:
-        found, trouble = test()
+        observed, trouble = test()
     except Exception as error:
-        found, trouble = "failed", f"{type(error).__name__}: {error}"
-    return HealthCheck("test", name, f"{found}, in {time.monotonic() - begin:.1f} s", trouble)
+        observed, trouble = "failed", f"{type(error).__name__}: {error}"
+    return HealthCheck("test", name, f"{observed}, in {time.monotonic() - begin:.1f} s", trouble)
 
 
 def _off(what: str, value: float, truth: float, within: float, unit: str) -> tuple[str, str]:
-    told = f"{what} {value:.4g} {unit}, and {truth:.4g} {unit} is right"
-    return told, "" if abs(value - truth) <= within else f"off by more than {within:.2g} {unit}"
+    text = f"{what} {value:.4g} {unit}, and {truth:.4g} {unit} is right"
+    return text, "" if abs(value - truth) <= within else f"off by more than {within:.2g} {unit}"
 
 
 def _rock() -> tuple[str, str]:
-    """The centre of a Gaussian absorption in a made-up spectrum."""
+    """The centre of a Gaussian absorption in a made-up spectrum, to be measured to a channel."""
     import numpy as np
 
     from lunarsci.spectra.jobs.bands import bands
 
-    nm = np.arange(450.0, 2400.0, 5.0)
+    center_nm, step_nm = 950.0, 5.0
+    nm = np.arange(450.0, 2400.0, step_nm)
     depth = sum(
-        d * np.exp(-4 * np.log(2) * ((nm - c) / w) ** 2) for c, w, d in ((CENTER_NM, 180, 0.4), (1950, 450, 0.2))
+        d * np.exp(-4 * np.log(2) * ((nm - c) / w) ** 2) for c, w, d in ((center_nm, 180, 0.4), (1950, 450, 0.2))
     )
-    found = bands((nm, 0.1 * np.exp(-depth)), continuum="hull").to_dict()["spectra"][0]
-    return _off("band at", found["bc1000_nm"], CENTER_NM, CENTER_WITHIN_NM, "nm")
+    observed = bands((nm, 0.1 * np.exp(-depth)), continuum="hull").to_dict()["spectra"][0]
+    return _off("band at", observed["bc1000_nm"], center_nm, step_nm, "nm")
 
 
 def _ground() -> tuple[str, str]:
     """The load that a wheel of Yutu-2 carries at a published sinkage and stiffness."""
     from lunarsci.regolith.jobs.wheel_forces import wheel_forces
 
-    found = wheel_forces(sinkage=SINKAGE_M, stiffness=STIFFNESS_KPA, exponent=1.0, slip=0.0).rows()[0]
-    return _off("load of", found["normal_force_n"], LOAD_N, LOAD_WITHIN * LOAD_N, "N")
+    observed = wheel_forces(sinkage=SINKAGE_M, stiffness=STIFFNESS_KPA, exponent=1.0, slip=0.0).rows()[0]
+    return _off("load of", observed["normal_force_n"], LOAD_N, LOAD_WITHIN * LOAD_N, "N")
 
 
 def _drive() -> tuple[str, str]:

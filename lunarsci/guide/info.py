@@ -16,7 +16,17 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 from lunarsci.errors import DataError, LunarSciError, LunarSciWarning
 from lunarsci.heights.grids import NETCDF, holds_heights
 from lunarsci.io.documents import toml_document
-from lunarsci.io.inputs import InputFile, InputStream, beginning, csv_rows, open_input, read_input, read_json, text
+from lunarsci.io.inputs import (
+    BEGINNING,
+    InputFile,
+    InputStream,
+    beginning,
+    csv_rows,
+    open_input,
+    read_input,
+    read_json,
+    text,
+)
 from lunarsci.io.tables import separator_of
 from lunarsci.names import some_of
 from lunarsci.result import MadeFrom, Result
@@ -34,8 +44,6 @@ HEIGHTS = re.compile(
     r"\bUNIT\s*=\s*\"?(?:KILO)?M(?:ET(?:ER|RE)S?)?\b|elevation|topograph|terrain|\bD[TE]M|radius", re.I
 )
 """What a label of a map says of heights."""
-LABEL_BYTES = 1 << 16
-"""A label is in so many; assumed."""
 
 
 def kind_of_rover_file(file: InputFile, start: str) -> str:
@@ -59,9 +67,9 @@ def is_map_of_heights(label: str) -> bool:
 def is_image_of_heights(name: str) -> bool:
     """Whether an image has a label of a map of heights, at its begin or beside it."""
     labels = [Path(name).with_suffix(end) for end in (".lbl", ".LBL")]
-    own = next((label for label in labels if label.is_file()), Path(name))
-    with own.open("rb") as stream:
-        return is_map_of_heights(stream.read(LABEL_BYTES).decode("latin-1"))
+    label = next((each for each in labels if each.is_file()), Path(name))
+    with label.open("rb") as stream:
+        return is_map_of_heights(stream.read(BEGINNING).decode("latin-1"))
 
 
 def is_envi_of_heights(name: str) -> bool:
@@ -79,7 +87,7 @@ def is_table_of_heights(file: InputFile, start: str) -> bool:
 
     if start[:6].lower().startswith(("ncols", "nrows")) or Path(file.name).suffix.lower() == ".xyz":
         return True
-    whole = start if len(start) < LABEL_BYTES // 2 else start.rpartition("\n")[0]
+    whole = start if len(start) < BEGINNING // 2 else start.rpartition("\n")[0]
     # Telemetry and positions have x, y and z beside others.
     return node_columns(file, whole, alone=True) is not None
 
@@ -88,9 +96,9 @@ def states_named_otherwise(columns: Sequence[str]) -> list[str]:
     """Columns of wheel states that are there by other names, or in other units, where there are two or more."""
     from lunarsci.regolith.columns import QUANTITIES, of_name
 
-    found = [what.target for name in columns if (what := of_name(name)) and what.target not in columns]
-    own = [one.column for one in QUANTITIES if one.column in columns]
-    return found if len(found) + len(own) > 1 else []
+    renamed = [what.target for name in columns if (what := of_name(name)) and what.target not in columns]
+    present = [one.column for one in QUANTITIES if one.column in columns]
+    return renamed if len(renamed) + len(present) > 1 else []
 
 
 def telemetry_named_otherwise(columns: Sequence[str]) -> list[str]:
@@ -108,14 +116,14 @@ def camera_contents(file: InputFile) -> Mapping[str, Any]:
     from lunarsci.images.jobs.cameras import cameras
 
     (camera,) = cameras([file]).to_dict()["cameras"]
-    told = {
+    contents = {
         "size_px": f"{camera['width_px']} x {camera['height_px']}",
         "focal length_px": f"{camera['fx_px']:.6g}",
         "view_deg": f"{camera['view_across_deg']:.1f} x {camera['view_down_deg']:.1f}",
     }
     if "down_deg" in camera:
-        told |= {"looks": f"heading {camera['heading_deg']:.2f}, down {camera['down_deg']:.2f} deg"}
-    return told | {"read as": "; ".join(camera["remarks"]) or "as written"}
+        contents |= {"looks": f"heading {camera['heading_deg']:.2f}, down {camera['down_deg']:.2f} deg"}
+    return contents | {"read as": "; ".join(camera["remarks"]) or "as written"}
 
 
 LARGEST_WHEEL = "lrv"
@@ -211,19 +219,19 @@ def _rover(file: InputFile) -> Mapping[str, Any]:
 
     description = read_rover(file.name)
     wheel = read_wheel(description)
-    told = {"name": description.name, "wheel radius_m": wheel.radius_m, "wheel width_m": wheel.width_m}
+    contents = {"name": description.name, "wheel radius_m": wheel.radius_m, "wheel width_m": wheel.width_m}
     left = left_to_defaults(description)
     keys = [*description.assumed, *left]
     parts = dict.fromkeys(key.partition(".")[0] for key in keys)
     named = _listed(keys) if len(keys) <= MOST else f"of {', '.join(parts)}"
-    told |= {"assumed numbers": f"{len(keys)}: {named}" if keys else 0}
+    contents |= {"assumed numbers": f"{len(keys)}: {named}" if keys else 0}
     if left:
-        told["taken as usual, for want of a number"] = ", ".join(f"{key} {getattr(wheel, key):g}" for key in left)
+        contents["taken as usual, for want of a number"] = ", ".join(f"{key} {getattr(wheel, key):g}" for key in left)
     if "suspension" not in description.tables:
-        return told | {"parts": WHEEL_ALONE}
+        return contents | {"parts": WHEEL_ALONE}
     rover = build_rover(description)
-    told |= {"mass_kg": rover.mass_kg, "wheels": _listed(rover.wheels), "max_speed_m_s": rover.max_speed_m_s}
-    return told | _as_in_template(description)
+    contents |= {"mass_kg": rover.mass_kg, "wheels": _listed(rover.wheels), "max_speed_m_s": rover.max_speed_m_s}
+    return contents | _as_in_template(description)
 
 
 def _as_in_template(rover: "RoverDescription") -> dict[str, str]:
@@ -235,8 +243,8 @@ def _as_in_template(rover: "RoverDescription") -> dict[str, str]:
     asked = dict[str, list[str]]()
     for key, of in rover.left.items():
         table, _, name = key.partition(".")
-        known = read_rover(of).tables.get(table, {}) if of in rover_names() else {}
-        if key in numbers and numbers[key] == known.get(name):
+        template = read_rover(of).tables.get(table, {}) if of in rover_names() else {}
+        if key in numbers and numbers[key] == template.get(name):
             asked.setdefault(f"[{table}] as of {of}", []).append(name)
     if sum(map(len, asked.values())) == len(numbers):
         return {}
@@ -279,8 +287,8 @@ def _rig(file: InputFile) -> Mapping[str, Any]:
     from lunarsci.images.rig_files import read_rig
 
     rig = read_rig(file)
-    said = {"read as": "; ".join(rig.read_as)} if rig.read_as else {}
-    return {"name": rig.name, "baseline_m": float(rig.baseline_m)} | said
+    read_as = {"read as": "; ".join(rig.read_as)} if rig.read_as else {}
+    return {"name": rig.name, "baseline_m": float(rig.baseline_m)} | read_as
 
 
 def _terrain(file: InputFile) -> Mapping[str, Any]:
@@ -292,7 +300,7 @@ def _terrain(file: InputFile) -> Mapping[str, Any]:
 
     soil = (*SOIL_COLUMNS, *(f"{one}_left_of_prior" for one in SOIL_COLUMNS))
     grid = read_grid(file.name, (), (*soil, *ERROR_LAYERS))
-    known = grid.height_m[np.isfinite(grid.height_m)]
+    heights = grid.height_m[np.isfinite(grid.height_m)]
     ny, nx = grid.height_m.shape
     return {
         "name": grid.name,
@@ -300,8 +308,8 @@ def _terrain(file: InputFile) -> Mapping[str, Any]:
         "spacing_m": grid.spacing_m,
         "x_m": f"{grid.x0_m:g} to {grid.x0_m + (nx - 1) * grid.spacing_m:g}",
         "y_m": f"{grid.y0_m:g} to {grid.y0_m + (ny - 1) * grid.spacing_m:g}",
-        "height_m": f"{known.min():.3f} to {known.max():.3f}",
-        "holes": f"{1 - known.size / grid.height_m.size:.1%}",
+        "height_m": f"{heights.min():.3f} to {heights.max():.3f}",
+        "holes": f"{1 - heights.size / grid.height_m.size:.1%}",
         "coordinate system": "local" if not grid.crs else "projected",
         "read as": "; ".join(grid.read_as) or "as written",
     }
@@ -318,18 +326,18 @@ def _belief(file: InputFile) -> Mapping[str, Any]:
 def _soil_map(file: InputFile) -> Mapping[str, Any]:
     from lunarsci.twin.ground.soil_map import read_soil_map
 
-    found = read_soil_map(file)
-    return {"zones": len(found.zones), "correlation_m": found.correlation_m}
+    soil = read_soil_map(file)
+    return {"zones": len(soil.zones), "correlation_m": soil.correlation_m}
 
 
 def _rows(file: InputFile) -> Mapping[str, Any]:
     from lunarsci.io.tables import read_csv_table
 
     table = read_csv_table(file)
-    told: dict[str, Any] = {"rows": len(table), "columns": _listed(table.columns)}
+    contents: dict[str, Any] = {"rows": len(table), "columns": _listed(table.columns)}
     if "wheel" in table:
-        told["wheels"] = _listed(dict.fromkeys(table["wheel"]))
-    return told
+        contents["wheels"] = _listed(dict.fromkeys(table["wheel"]))
+    return contents
 
 
 def _other_table(file: InputFile) -> Mapping[str, Any]:
@@ -338,8 +346,8 @@ def _other_table(file: InputFile) -> Mapping[str, Any]:
 
     columns = [str(name) for name in read_csv_table(file).columns]
     for words, meant in LIKE.items():
-        if len(found := [name for name in columns if re.search(words, name, re.IGNORECASE)]) > 1:
-            warnings.warn(f"columns {', '.join(found[:4])}: {meant}", LunarSciWarning, stacklevel=2)
+        if len(alike := [name for name in columns if re.search(words, name, re.IGNORECASE)]) > 1:
+            warnings.warn(f"columns {', '.join(alike[:4])}: {meant}", LunarSciWarning, stacklevel=2)
             break
     return _rows(file)
 
@@ -349,8 +357,8 @@ def _states(file: InputFile) -> Mapping[str, Any]:
     from lunarsci.regolith.wheel import read_wheel
 
     table = read_state_table(file, largest := read_wheel(LARGEST_WHEEL), any_wheel=True)
-    said = {"read as": "; ".join(table.named.read_as)} if table.named.read_as else {}
-    return said | {
+    read_as = {"read as": "; ".join(table.named.read_as)} if table.named.read_as else {}
+    return read_as | {
         **_rows(file),
         "columns of no use": _listed(table.unused) or "none",
         "range checked for": f"wheels of up to {largest.radius_m:g} m",
@@ -365,14 +373,14 @@ def _telemetry(file: InputFile | InputStream) -> Mapping[str, Any]:
     ros = ros_names(names.partition(b"\n")[0].decode("utf-8", "replace").split(","))
     four = b"FL" in names and b"_ML_" not in names if not ros else "angle_ML_deg" not in ros
     rover = build_rover("small-four" if four else "yutu2")
-    found = read_telemetry(file, rover, Findings(file.name))
-    time = found.time_s
+    telemetry = read_telemetry(file, rover, Findings(file.name))
+    time = telemetry.time_s
     return {
-        "rows": found.rows,
+        "rows": telemetry.rows,
         "from_s": float(time.min()),
         "to_s": float(time.max()),
         "wheels": _listed(rover.wheels),
-        "synthetic": found.synthetic,
+        "synthetic": telemetry.synthetic,
     }
 
 
@@ -386,14 +394,14 @@ def _ends(stream: InputStream, size: int = 1 << 16) -> bytes:
 
 
 def _result(file: InputFile) -> Mapping[str, Any]:
-    found = read_json(file, "a result", lambda value: value)
-    record = found.get("provenance") or {}
+    document = read_json(file, "a result", lambda value: value)
+    record = document.get("provenance") or {}
     return {
-        "schema": str(found["schema"]).removeprefix("lunarsci/"),
+        "schema": str(document["schema"]).removeprefix("lunarsci/"),
         "command": record.get("command"),
         "version": record.get("version"),
         "time_utc": record.get("time_utc"),
-        "keys": _listed(found.get("result") or ()),
+        "keys": _listed(document.get("result") or ()),
         "inputs": _listed(one.get("path") for one in record.get("inputs") or ()) or "none",
     }
 
@@ -501,7 +509,7 @@ assumed."""
 _NUMBER = re.compile(r"\s*[+-]?[0-9]+([.,][0-9]*)?([eE][+-]?[0-9]+)?\s*[;,\t ]")
 LONG = 1 << 26
 """Bytes from which on telemetry is read in pieces."""
-_Found: TypeAlias = tuple[str, str, Mapping[str, Any], str]
+_Description: TypeAlias = tuple[str, str, Mapping[str, Any], str]
 """Kind, SHA-256, contents and trouble."""
 SUFFIXES = {
     ".tif": "terrain", ".tiff": "terrain", ".asc": "terrain", ".2b": "vnis", ".2bl": "vnis", ".img": "cube",
@@ -551,8 +559,8 @@ class FileInfo(Result):
         """Those that take it; none of a file that its reader refuses."""
         if self.trouble:
             return []
-        own = WHEEL if self.contents.get("parts") == WHEEL_ALONE else KINDS[self.kind].commands
-        return [f"lunarsci {one}" for one in (*self.further, *own)]
+        of_kind = WHEEL if self.contents.get("parts") == WHEEL_ALONE else KINDS[self.kind].commands
+        return [f"lunarsci {one}" for one in (*self.further, *of_kind)]
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -589,11 +597,11 @@ def info(path: str | Path) -> FileInfo:
     stored = None
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always", LunarSciWarning)
-        if not (found := _long_telemetry(name)):
+        if not (described := _long_telemetry(name)):
             file = read_input(name)
-            found = _read(file)
-            stored = read_json(file, "a result", dict) if found[0] == "result" else None
-    kind, sha256, contents, trouble = found
+            described = _read(file)
+            stored = read_json(file, "a result", dict) if described[0] == "result" else None
+    kind, sha256, contents, trouble = described
     remarks = [str(one.message) for one in heard if issubclass(one.category, LunarSciWarning)]
     further = TAKEN_BY.get(str(contents.get("schema", "")).split("/")[0], ()) if kind == "result" else ()
     return FileInfo(
@@ -602,11 +610,11 @@ def info(path: str | Path) -> FileInfo:
     )  # fmt: skip
 
 
-def _read(file: InputFile) -> _Found:
+def _read(file: InputFile) -> _Description:
     return kind_of(file), file.sha256, *_contents(kind_of(file), file)
 
 
-def _long_telemetry(name: str) -> _Found | None:
+def _long_telemetry(name: str) -> _Description | None:
     """What there is in telemetry that is too long to be read whole; None for any other file."""
     if not Path(name).is_file() or Path(name).stat().st_size <= LONG:
         return None
@@ -615,10 +623,10 @@ def _long_telemetry(name: str) -> _Found | None:
         stream.file.seek(0)
         if start.lstrip().startswith(b"{") or kind_of(InputFile(name, start)) != "telemetry":
             return None
-        found = _contents("telemetry", stream)
+        described = _contents("telemetry", stream)
         for _ in stream.pieces():
             pass
-        return "telemetry", stream.sha256, *found
+        return "telemetry", stream.sha256, *described
 
 
 def _contents(kind: str, file: InputFile | InputStream) -> tuple[Mapping[str, Any], str]:
@@ -664,8 +672,8 @@ def kind_of(file: InputFile) -> str:
 
 
 def _kind_of_json(file: InputFile) -> str:
-    found = read_json(file, "a file of lunarsci", lambda value: value[0] if isinstance(value, list) else value)
-    schema = str(found.get("schema", ""))
+    document = read_json(file, "a file of lunarsci", lambda value: value[0] if isinstance(value, list) else value)
+    schema = str(document.get("schema", ""))
     for kind, start in (
         ("belief", "lunarsci/soil-belief/"),
         ("soil map", "lunarsci/soil-map/"),
@@ -673,9 +681,9 @@ def _kind_of_json(file: InputFile) -> str:
     ):
         if schema.startswith(start):
             return kind
-    if found.get("type") in ("FeatureCollection", "Feature", "Polygon", "LineString"):
+    if document.get("type") in ("FeatureCollection", "Feature", "Polygon", "LineString"):
         return "zones"
-    if any(map(is_wavelength, found)):
+    if any(map(is_wavelength, document)):
         return "spectra"
     raise DataError(f"{file.name}: JSON without a schema of lunarsci; nothing is known of it")
 

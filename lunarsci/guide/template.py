@@ -13,15 +13,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from lunarsci.names import known_name
+from lunarsci.names import checked_name
 from lunarsci.result import Result
 
 COMMENT_WIDTH = 110
 ATTRIBUTE = re.compile(
     r"^(\w+(?:, \w+)*) : (.+?)(?=^\w+(?:, \w+)* : |^Raises |^\S.*\n-+$|\Z)", re.DOTALL | re.MULTILINE
 )
-SHORT_LEGS = ({"length_m": 1.0}, {"length_m": 0.8, "curvature_per_m": 0.2})
-"""An arc straight ahead and one to the left: the path of the plan. Assumed."""
 WHEELS = ("FL", "FR", "ML", "MR", "RL", "RR")
 
 
@@ -44,7 +42,7 @@ class FileTemplate(Result):
 
 def template(kind: str) -> FileTemplate:
     """A file of a kind, one of `KINDS`. Raises ParameterError for another one."""
-    name, make = KINDS[known_name(kind, KINDS, "a kind of file")]
+    name, make = KINDS[checked_name(kind, KINDS, "a kind of file")]
     return FileTemplate(kind=kind, name=name, text=make())
 
 
@@ -61,16 +59,16 @@ def described(*classes: type) -> dict[str, str]:
     >>> described(Place)
     {'x_m': 'east and north. [m]', 'y_m': 'east and north. [m]'}
     """
-    found: dict[str, str] = {}
+    texts: dict[str, str] = {}
     for one in classes:
         for names, text in ATTRIBUTE.findall(inspect.getdoc(one) or ""):
-            found |= {name: " ".join(text.split()) for name in names.split(", ") if name not in found}
-    return found
+            texts |= {name: " ".join(text.split()) for name in names.split(", ") if name not in texts}
+    return texts
 
 
-def _remark(key: str, told: Mapping[str, str]) -> list[str]:
+def _remark(key: str, texts: Mapping[str, str]) -> list[str]:
     """Comment lines on a key: what it is, and its unit."""
-    return [f"# {line}" for line in textwrap.wrap(told.get(key, ""), COMMENT_WIDTH)]
+    return [f"# {line}" for line in textwrap.wrap(texts.get(key, ""), COMMENT_WIDTH)]
 
 
 def _line(key: str, value: Any, *, optional: bool = False) -> str:
@@ -85,12 +83,12 @@ def _toml(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
-def _block(keys: Mapping[str, Any], told: Mapping[str, str], optional: Iterable[str] = ()) -> list[str]:
+def _block(keys: Mapping[str, Any], texts: Mapping[str, str], optional: Iterable[str] = ()) -> list[str]:
     """Lines of some keys; a remark that holds for several stands above the first."""
     lines: list[str] = []
     before: list[str] = []
     for key, value in keys.items():
-        remark = _remark(key, told)
+        remark = _remark(key, texts)
         lines += [*(remark if remark != before else ()), _line(key, value, optional=key in optional)]
         before = remark
     return lines
@@ -104,17 +102,17 @@ def _soil() -> str:
     head = ["# A soil; the numbers are those of `lunar-typical`. Without # are keys that must be given.", ""]
     source = soil_tables()["lunar-typical"]["source"]
     more = {"assumed": ["external_friction_angle_deg"], "source": str(source)}
-    told = described(Soil) | {"assumed": "names of the keys that are guesses", "source": "where the numbers come from"}
-    return "\n".join([*head, *_block(values, told, optional), *_block(more, told), ""])
+    texts = described(Soil) | {"assumed": "names of the keys that are guesses", "source": "where the numbers come from"}
+    return "\n".join([*head, *_block(values, texts, optional), *_block(more, texts), ""])
 
 
-def _rover(known: str = "yutu2") -> str:
+def _rover(name: str = "yutu2") -> str:
     from lunarsci.regolith.wheel import Wheel
     from lunarsci.rovers import PLACE_HOLDER, read_rover
     from lunarsci.twin.ground.hazards import Mobility
     from lunarsci.twin.rover import Body, Motors, PowerSupply, Rover
 
-    told = {
+    texts = {
         "wheel": described(Wheel),
         "motors": described(Motors),
         "power": described(PowerSupply),
@@ -123,9 +121,9 @@ def _rover(known: str = "yutu2") -> str:
     }
     of_rover = described(Rover)
     of_rover |= {"steered_wheels": of_rover["steered"], "offset_m": of_rover["steering_offset_m"]}
-    description = read_rover(known)
+    description = read_rover(name)
     lines = [
-        f"# A rover; the numbers are those of {known}, most of them assumed. Each is a value, or a table of value,",
+        f"# A rover; the numbers are those of {name}, most of them assumed. Each is a value, or a table of value,",
         "# source and assumed. [motors], [power], [limits] and [body] may be left out. `lunarsci info` asks for those",
         f"# whose source still ends in '{PLACE_HOLDER}'.",
         "",
@@ -134,10 +132,10 @@ def _rover(known: str = "yutu2") -> str:
     for table, keys in description.tables.items():
         guessed = [key for key in keys if f"{table}.{key}" in description.assumed]
         entries = {
-            key: {"value": value, "source": f"{known}; {PLACE_HOLDER}"} | ({"assumed": True} if key in guessed else {})
+            key: {"value": value, "source": f"{name}; {PLACE_HOLDER}"} | ({"assumed": True} if key in guessed else {})
             for key, value in keys.items()
         }
-        lines += ["", f"[{table}]", *_block(entries, told.get(table, of_rover))]
+        lines += ["", f"[{table}]", *_block(entries, texts.get(table, of_rover))]
     return "\n".join([*lines, ""])
 
 
@@ -145,19 +143,19 @@ def _plan() -> str:
     from lunarsci.twin.plans.made_for_check import LIMITS_RULE
     from lunarsci.twin.plans.plan import Fixes, Leg, Plan, read_plan
 
-    told, embedded = described(Plan), read_plan()
+    texts, embedded = described(Plan), read_plan()
     leg = described(Leg)
     lines = [
         "# A plan: an arc straight ahead, then one to the left. Keys and tables after # may be left out.",
-        *_block({"name": "short drive"}, told),
+        *_block({"name": "short drive"}, texts),
         "",
         "[start]",
-        *_block({"x_m": 0.0, "y_m": 0.0, "heading_deg": 0.0}, told),
+        *_block({"x_m": 0.0, "y_m": 0.0, "heading_deg": 0.0}, texts),
         "",
         "[drive]",
-        *_block({"speed_m_s": 0.05, "blend_m": 0.2}, told),
+        *_block({"speed_m_s": 0.05, "blend_m": 0.2}, texts),
     ]
-    first, second = SHORT_LEGS
+    first, second = {"length_m": 1.0}, {"length_m": 0.8, "curvature_per_m": 0.2}
     others: dict[str, Any] = {key: 0.0 for key in leg if key not in second}
     others["wheel_test"] = {"wheel": "FL", "rate_ratio": 0.7}
     lines += ["", "[[leg]]", *_block(first, leg), "# Of an arc, or in its place:", *_block(others, leg, others)]
@@ -188,11 +186,11 @@ def _mission() -> str:
     from lunarsci.twin.mission.mission import CommWindow, Mission, MissionStart, MissionTarget
     from lunarsci.twin.plans.plan import Fixes
 
-    told, target = described(Mission), described(MissionTarget)
+    texts, target = described(Mission), described(MissionTarget)
     lines = [
         "# A mission: targets in order. Keys and tables after # may be left out.",
-        *_block({"name": "two targets", "leg_m": 1.5, "localisation_s": 60.0}, told),
-        *_block({"time_budget_s": 7200.0, "speed_m_s": 0.05}, told, ("time_budget_s", "speed_m_s")),
+        *_block({"name": "two targets", "leg_m": 1.5, "localisation_s": 60.0}, texts),
+        *_block({"time_budget_s": 7200.0, "speed_m_s": 0.05}, texts, ("time_budget_s", "speed_m_s")),
         "",
         "[start]",
         *_block({"x_m": 0.0, "y_m": 0.0, "heading_deg": 0.0}, described(MissionStart)),
@@ -213,11 +211,11 @@ def _craters() -> str:
     from lunarsci.io.tables import table_rows
     from lunarsci.spectra.origin.catalogue import COLUMNS, REQUIRED, TABLE, Crater
 
-    told = described(Crater)
-    told |= {"age_low_ma": told["age_ma"], "age_high_ma": told["age_ma"]}
+    texts = described(Crater)
+    texts |= {"age_low_ma": texts["age_ma"], "age_high_ma": texts["age_ma"]}
     lines = [f"# A catalogue of craters: the first two of `{TABLE}`. Only {', '.join(REQUIRED)} must be there;"]
     lines += ["# cells may be empty. Minerals are shares of 1, band centres in nm, _sigma their scatter."]
-    lines += [f"# {name}: {told[name]}" for name in COLUMNS if name in told]
+    lines += [f"# {name}: {texts[name]}" for name in COLUMNS if name in texts]
     rows = [",".join(_cell(row.get(name, "")) for name in COLUMNS) for row in table_rows(TABLE)[:2]]
     return "\n".join([*lines, ",".join(COLUMNS), *rows, ""])
 
@@ -232,7 +230,7 @@ def _telemetry() -> str:
     from lunarsci.regolith.wheel import read_wheel
     from lunarsci.twin.telemetry.reading import POSE_COLUMNS, WHEEL_COLUMNS, Telemetry
 
-    told, radius, speed = described(Telemetry), read_wheel("yutu2").radius_m, 0.05
+    texts, radius, speed = described(Telemetry), read_wheel("yutu2").radius_m, 0.05
     per_wheel = {"angle_deg": "angle", "steered_deg": "steered"}
     columns = ["time_s", "x_m", "y_m", "sigma_m", "yaw_deg", "yaw_deg_sigma", "roll_deg", "pitch_deg"]
     wheels = [WHEEL_COLUMNS[name].format(wheel) for name in per_wheel for wheel in WHEELS]
@@ -240,8 +238,8 @@ def _telemetry() -> str:
         "# Telemetry of a rover with the wheels FL, FR, ML, MR, RL, RR: made up, straight ahead without slip or noise.",
         "# time_s may count from elsewhere, such as 1970: `twin states --start-time S` says when the plan began.",
         "# x_m and y_m are blank where there is no position; sigma_m is the standard error of each of them.",
-        *(f"# {name}: {told[name]}" for name in ("time_s", *POSE_COLUMNS)),
-        *(f"# {form.format('FL')} and so on: {told[name]}" for name, form in WHEEL_COLUMNS.items()),
+        *(f"# {name}: {texts[name]}" for name in ("time_s", *POSE_COLUMNS)),
+        *(f"# {form.format('FL')} and so on: {texts[name]}" for name, form in WHEEL_COLUMNS.items()),
         "# Of the columns of a wheel angle, rate or speed must be there, and steered or steering.",
         ",".join([*columns, *wheels, "synthetic"]),
     ]
@@ -258,7 +256,7 @@ def _states() -> str:
     from lunarsci.regolith.jobs.wheel_forces import wheel_forces
     from lunarsci.regolith.states import COLUMNS
 
-    told = {
+    texts = {
         "sinkage_m": "depth of the wheel's lowest point below the undisturbed ground. [m]; down is positive",
         "slip_ratio": "1 - v / (r_s ω) where the wheel drives, r_s ω / v - 1 where it skids. [-1 to 1], not %",
         "side_slip_deg": "angle from the wheel's heading to its velocity. [deg]; 0 where it runs straight",
@@ -270,7 +268,7 @@ def _states() -> str:
         "# Wheel states, a row each: made up, by the closed form, lunar-typical soil, yutu2's wheel, without noise.",
         "# slip_ratio, side_slip_deg and lateral_force_n may be blank or left out. NAME_sigma is the standard",
         "# deviation of NAME, in its unit; without it the default errors of `lunarsci regolith infer` are taken.",
-        *(f"# {name}: {told[name]}" for name in COLUMNS),
+        *(f"# {name}: {texts[name]}" for name in COLUMNS),
         "# rover: name in its file and size of its wheels; leave it out, and name your rover or wheel with --rover.",
         ",".join([*COLUMNS, "sinkage_m_sigma", "synthetic", "rover"]),
     ]

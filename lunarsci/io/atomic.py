@@ -3,6 +3,9 @@
 Signals that stop a program wait while names change. Files of one folder change in one step: a new folder with all of
 them, and with whatever else the old one has, takes its name. What a killed process left is taken away by the next that
 writes to the same name.
+
+It is our own since libraries replace one file at a time, and `docs/promises.md` promises whole folders, also of a
+process that is killed.
 """
 
 import contextlib
@@ -37,10 +40,7 @@ def check_target(path: Path, *, force: bool) -> None:
         raise OutputError(f"{path}: not a regular file; give another name")
     if path.exists() and not force:
         raise TakenError(f"{path}: exists already; give `force` to replace it, or another name")
-    if not path.parent.is_dir():
-        raise OutputError(f"{path}: there is no folder {path.parent}; create it first")
-    if not os.access(path.parent, os.W_OK | os.X_OK):
-        raise OutputError(f"{path}: no permission to write in {path.parent}; choose another folder")
+    _check_parent(path, path.parent)
 
 
 def check_folder(folder: Path, *, force: bool) -> None:
@@ -49,11 +49,14 @@ def check_folder(folder: Path, *, force: bool) -> None:
         raise OutputError(f"{folder}: is not a folder; give another name")
     if folder.is_dir() and any(folder.iterdir()) and not force:
         raise TakenError(f"{folder}: holds files already; give `force` to replace those of the same name")
-    parent = folder if folder.is_dir() else folder.parent
+    _check_parent(folder, folder if folder.is_dir() else folder.parent)
+
+
+def _check_parent(path: Path, parent: Path) -> None:
     if not parent.is_dir():
-        raise OutputError(f"{folder}: there is no folder {parent}; create it first")
+        raise OutputError(f"{path}: there is no folder {parent}; create it first")
     if not os.access(parent, os.W_OK | os.X_OK):
-        raise OutputError(f"{folder}: no permission to write in {parent}; choose another folder")
+        raise OutputError(f"{path}: no permission to write in {parent}; choose another folder")
 
 
 def write_files(contents: Mapping[Path, Content], *, force: bool = False, folder: Path | None = None) -> None:

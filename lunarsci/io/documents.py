@@ -1,6 +1,7 @@
 """TOML, JSON, YAML and XML from files that nobody vouches for: what no parser's own error covers becomes one.
 
-Tables of a document as dataclasses.
+The parsers are those of Python, PyYAML and expat; our own is what they let through, or refuse by another error: nesting
+without end, numbers beyond 64 bits, document types in XML. Tables of a document become dataclasses.
 """
 
 import codecs
@@ -23,10 +24,8 @@ Record = TypeVar("Record")
 LARGEST = 2**63
 """Whole numbers are smaller: those of 64 bits, as in TOML 1.0."""
 TOO_DEEP = "nested too deeply"
-LABEL_BYTES = 2_000_000
-"""XML is smaller: the labels of data products are all that is read of it; assumed."""
-DEEPEST = 64
-"""Levels of elements; assumed."""
+DEEPEST = 256
+"""Levels of elements: the limit of libxml2 (xmlParserMaxDepth)."""
 
 
 def toml_document(content: str) -> dict[str, Any]:
@@ -38,10 +37,9 @@ def toml_document(content: str) -> dict[str, Any]:
         document = tomllib.loads(content)
     except tomllib.TOMLDecodeError:
         raise
-    except RecursionError as error:
-        raise tomllib.TOMLDecodeError(TOO_DEEP) from error
-    except ValueError as error:
-        raise tomllib.TOMLDecodeError("a number of thousands of digits") from error
+    except (RecursionError, ValueError) as error:
+        deep = isinstance(error, RecursionError)
+        raise tomllib.TOMLDecodeError(TOO_DEEP if deep else "a number of thousands of digits") from error
     open_ones: list[Any] = [document]
     while open_ones:
         value = open_ones.pop()
@@ -113,18 +111,16 @@ def json_document(content: str, parse_constant: Callable[[str], Any] | None = No
     Raises json.JSONDecodeError, also for values nested too deeply and numbers beyond 64 bits.
     """
 
-    def whole(digits: str) -> int:
-        if len(digits) > 20 or abs(int(digits)) >= LARGEST:
-            raise json.JSONDecodeError("a whole number beyond 64 bits", content, content.find(digits))
-        return int(digits)
-
-    def real(digits: str) -> float:
-        if math.isinf(value := float(digits)):
-            raise json.JSONDecodeError("a number beyond 64 bits", content, content.find(digits))
+    def number(digits: str) -> float:
+        whole = digits.lstrip("-").isdigit()
+        value = int(digits) if whole and len(digits) <= 20 else float(digits)
+        if math.isinf(value) or (whole and abs(value) >= LARGEST):
+            kind = "whole number" if whole else "number"
+            raise json.JSONDecodeError(f"a {kind} beyond 64 bits", content, content.find(digits))
         return value
 
     try:
-        return json.loads(content, parse_int=whole, parse_float=real, parse_constant=parse_constant)
+        return json.loads(content, parse_int=number, parse_float=number, parse_constant=parse_constant)
     except RecursionError as error:
         raise json.JSONDecodeError(TOO_DEEP, content, 0) from error
 
@@ -140,21 +136,17 @@ def yaml_document(content: str) -> Any:
         # The head of OpenCV, %YAML:1.0, is none of YAML.
         documents = yaml.load_all(re.sub(r"\A\s*%YAML.*", "", content), Loader=yaml.BaseLoader)
         return next((one for one in documents if one), None)
-    except yaml.YAMLError as error:
-        raise ValueError(" ".join(str(error).split())) from error
-    except RecursionError as error:
-        raise ValueError(TOO_DEEP) from error
+    except (yaml.YAMLError, RecursionError) as error:
+        raise ValueError(TOO_DEEP if isinstance(error, RecursionError) else " ".join(str(error).split())) from error
 
 
 def xml_root(name: str, data: bytes) -> Element:
     """The root element of an XML text; tags in lower case, prefixes cut off.
 
     Whatever could expand or fetch something needs a document type declaration, and the label of a data product has no
-    use for one. Raises DataError for such a declaration, broken XML, more than 2 MB or 64 levels.
+    use for one. Raises DataError for such a declaration, broken XML, and more than 256 levels.
     """
 
-    if len(data) > LABEL_BYTES:
-        raise DataError(f"{name}: {len(data)} bytes are too many for a label; fetch it again")
     builder = TreeBuilder()
     parser = expat.ParserCreate("utf-8")
     depth = 0

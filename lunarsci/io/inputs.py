@@ -1,6 +1,7 @@
 """Input files: reading them whole, decoding them as text, and expanding folders and patterns.
 
-Everything that can go wrong here is a `DataError` of one line: the file, what is wrong, what to do.
+Everything that can go wrong here is a `DataError` of one line: the file, what is wrong, what to do. It is our own since
+one source may be a path, standard input, an open file or a table in memory, and each is hashed for the provenance.
 """
 
 import codecs
@@ -34,14 +35,20 @@ Source: TypeAlias = "str | Path | InputFile | IO[Any] | pd.DataFrame | Table"
 Made = TypeVar("Made")
 _UNPRINTABLE = re.compile(r"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f-\x9f]")
 _UNPRINTABLE_ASCII = bytes([*range(9), *range(0x0E, 0x1A), *range(0x1B, 0x20), 0x7F])
-_UNPRINTABLE_SHARE = 0.1
-"""Share of characters that are no text, beyond which a file is taken for a binary one; assumed."""
-_BEGINNING = 65536
+_UNPRINTABLE_SHARE = 59 / 256 / 2
+"""Share of characters that are no text, beyond which a file is taken for a binary one: half that of random bytes."""
+BEGINNING = 1 << 16
+"""Bytes by which the format of a file is told."""
 _ENDING = 200
 _SCHEMA = re.compile(rb'"schema": ?"lunarsci/[a-z0-9-]+/\d+"\s*\}\s*\Z')
 _PIECE = 1 << 20
 _BETWEEN = re.compile(r"[\s,;]+")
 _NUMBER = re.compile(r"[+-]?\d+(?:\.(\d*))?(?:[eEdD][+-]?(\d+))?")
+UNREADABLE = {
+    FileNotFoundError: "no such file; check the path",
+    IsADirectoryError: "is a folder, not a file; name the files in it",
+    PermissionError: "no permission to read it; check its access rights",
+}
 NO_DATA = (
     *(".md", ".rst", ".html", ".htm", ".pdf", ".png", ".jpg", ".jpeg", ".gif", ".svg"),
     *(".toml", ".py", ".sh", ".log", ".failed"),
@@ -118,7 +125,7 @@ class InputStream:
 
     def pieces(self, size: int = 1 << 22) -> Iterator[bytes]:
         """So many bytes at a time. Raises DataError for a file that cannot be read on, and for an empty one."""
-        with _said(self.name):
+        with _named_errors(self.name):
             while piece := self.file.read(size):
                 self._empty = False
                 self._digest.update(piece)
@@ -134,9 +141,9 @@ def open_input(source: "Source | InputStream") -> Iterator[InputStream]:
         yield source
     elif isinstance(source, str | Path):
         path = str(source)
-        with contextlib.ExitStack() as kept:
-            with _said(_name_of(path)):
-                file = _stdin() if path == "-" else kept.enter_context(Path(path).open("rb"))
+        with contextlib.ExitStack() as opened:
+            with _named_errors(_name_of(path)):
+                file = _stdin() if path == "-" else opened.enter_context(Path(path).open("rb"))
             yield InputStream(_name_of(path), file)
     else:
         whole = read_input(source)
@@ -148,23 +155,19 @@ def _name_of(path: str) -> str:
 
 
 @contextlib.contextmanager
-def _said(name: str) -> Iterator[None]:
+def _named_errors(name: str) -> Iterator[None]:
     """What the system says of a file, as a DataError."""
     try:
         yield
-    except FileNotFoundError as error:
-        raise DataError(f"{name}: no such file; check the path") from error
-    except IsADirectoryError as error:
-        raise DataError(f"{name}: is a folder, not a file; name the files in it") from error
-    except PermissionError as error:
-        raise DataError(f"{name}: no permission to read it; check its access rights") from error
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise DataError(f"{name!r}: cannot be read ({reason}); check the path and the disk") from error
+        other = f"{name!r}: cannot be read ({reason}); check the path and the disk"
+        wrong = next((f"{name}: {text}" for kind, text in UNREADABLE.items() if isinstance(error, kind)), other)
+        raise DataError(wrong) from error
 
 
 def _read_path(path: str) -> InputFile:
-    with _said(_name_of(path)):
+    with _named_errors(_name_of(path)):
         data = _stdin().read() if path == "-" else Path(path).read_bytes()
     return _filled(_name_of(path), data)
 
@@ -181,11 +184,11 @@ def _table_bytes(table: Any) -> bytes:
 
     plain = table.copy()
     for name in plain.colnames:
-        unit, own = unit_of(name), getattr(plain[name], "unit", None)
-        if unit and own is not None and own.is_equivalent(unit):
+        unit, given = unit_of(name), getattr(plain[name], "unit", None)
+        if unit and given is not None and given.is_equivalent(unit):
             plain[name] = plain[name].to(unit)
-        elif unit and own is not None and "_" in name:
-            raise DataError(f"<table>: column {name} is in {own}, its name says {unit}; rename it or convert it")
+        elif unit and given is not None and "_" in name:
+            raise DataError(f"<table>: column {name} is in {given}, its name says {unit}; rename it or convert it")
     written = io.StringIO()
     ascii.write(plain, written, format="ecsv", delimiter=",")
     return written.getvalue().encode()
@@ -229,31 +232,31 @@ def _text(input: InputFile) -> str:
 
 def _check_end(name: str, decoded: str) -> None:
     """Refuse a table whose last line does not end and whose last number is shorter than all above it: cut inside."""
-    lines = decoded[-_BEGINNING:].split("\n")[int(len(decoded) > _BEGINNING) :]
+    lines = decoded[-BEGINNING:].split("\n")[int(len(decoded) > BEGINNING) :]
     if not lines:
         return
     *above, last = ([part for part in _BETWEEN.split(line.strip()) if part] for line in lines)
     column = [_digits(row[-1]) for row in above if row and len(row) == len(last)]
     end = _digits(last[-1]) if last else None
-    known = [digits for digits in column if digits is not None]
-    if end is None or len(known) < max(len(column), _ROWS):
+    lengths = [digits for digits in column if digits is not None]
+    if end is None or len(lengths) < max(len(column), _ROWS):
         return
-    if any(mine < min(theirs) for mine, theirs in zip(end, zip(*known, strict=True), strict=True)):
+    if any(mine < min(theirs) for mine, theirs in zip(end, zip(*lengths, strict=True), strict=True)):
         raise DataError(
             f"{name}: the last line has no end, and its last number, {last[-1]}, fewer digits than those above it: was "
             "the file cut there? Fetch it again, or end the line if it is whole"
         )
 
 
-def _digits(number: str) -> tuple[int, int] | None:
+def _digits(cell: str) -> tuple[int, int] | None:
     """Digits after the point, and of the exponent; None for what is no number."""
-    found = _NUMBER.fullmatch(number)
-    return found and (len(found[1] or ""), len(found[2] or ""))
+    number = _NUMBER.fullmatch(cell)
+    return number and (len(number[1] or ""), len(number[2] or ""))
 
 
 def beginning(input: InputFile) -> str:
     """`text` of the first 64 kB, by which a format is told; of everything where these are blank, or in UTF-16."""
-    first = input.data[:_BEGINNING]
+    first = input.data[:BEGINNING]
     whole = first == input.data or first.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or not first.strip()
     return _text(input if whole else InputFile(input.name, first))
 
@@ -307,7 +310,7 @@ def unheard() -> Iterator[None]:
     heard either: take it for a single call.
     """
     try:
-        kept = os.dup(2)
+        stderr = os.dup(2)
     except OSError:  # there is no stderr
         yield
         return
@@ -318,8 +321,8 @@ def unheard() -> Iterator[None]:
     try:
         yield
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        os.dup2(stderr, 2)
+        os.close(stderr)
         sys.unraisablehook = hook
 
 
@@ -339,24 +342,22 @@ def _expanded(path: str, *, all_files: bool) -> Iterator[str]:
     if _is(Path.is_dir, path):
         return iter(_files_of_folder(path, all_files=all_files))
     # Path.glob takes no absolute patterns.
-    found = sorted(name for name in glob.glob(path, recursive=True) if Path(name).is_file())  # noqa: PTH207
-    if not found:
+    names = sorted(name for name in glob.glob(path, recursive=True) if Path(name).is_file())  # noqa: PTH207
+    if not names:
         raise NoFilesError(f"{path}: matches no file; check the pattern")
-    return iter(found)
+    return iter(names)
 
 
 def _files_of_folder(path: str, *, all_files: bool) -> list[str]:
     try:
-        found = sorted(str(p) for p in Path(path).iterdir() if p.is_file() and not p.name.startswith("."))
+        names = sorted(str(p) for p in Path(path).iterdir() if p.is_file() and not p.name.startswith("."))
     except OSError as error:
         raise DataError(f"{path}: folder cannot be listed ({error.strerror}); check its access rights") from error
-    if not found:
-        raise NoFilesError(f"{path}: folder holds no files; name the files or a pattern")
-    data = [name for name in found if all_files or not no_data(name)]
-    if left := [Path(name).name for name in found if not all_files and no_data(name)]:
+    data = [name for name in names if all_files or not no_data(name)]
+    if left := [Path(name).name for name in names if not all_files and no_data(name)]:
         warn(f"{path}: left out, no data by name: {some_of(left, NAMED_LEFT)}")
     if not data:
-        raise NoFilesError(f"{path}: folder holds no files of data; name the files or a pattern")
+        raise NoFilesError(f"{path}: folder holds no files{' of data' if names else ''}; name the files or a pattern")
     return data
 
 
@@ -382,7 +383,7 @@ def is_result(name: str) -> bool:
                 return _SCHEMA.search(stream.read()) is not None
             if suffix != ".csv":
                 return False
-            columns = stream.readline(_BEGINNING).decode("utf-8", "replace").strip().split(",")
+            columns = stream.readline(BEGINNING).decode("utf-8", "replace").strip().split(",")
     except OSError:
         return False
     spectral = any("wavelength" in column or column[:1].isdigit() for column in columns)

@@ -19,7 +19,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, warn
-from lunarsci.io.inputs import InputFile, InputStream, csv_rows, read_input, text
+from lunarsci.io.inputs import BEGINNING, InputFile, InputStream, csv_rows, read_input, text
 from lunarsci.io.records import Records, coded
 from lunarsci.provenance import sha256
 
@@ -38,7 +38,6 @@ EXACT_POWER = 22
 """Up to this power of ten a float64 is exact."""
 POWERS = np.array([float(f"1e{power}") for power in range(EXACT_POWER + 1)])
 _RARE = ('"', "#", "\r", "\v", "\f", "\x1c", "\x1d", "\x1e")
-_BEGINNING = 1 << 16
 ALIKE = 0.72
 """Likeness of two names (difflib's ratio) from which one is taken for a slip of the pen of the other; assumed."""
 
@@ -82,7 +81,7 @@ def _csv_cells(file: InputFile, before: int = 0, *, dtype: type[str] | None) -> 
 
 def separator_of(content: str) -> str:
     """What is between the names of the header: a comma, or semicolons."""
-    for line in content[:_BEGINNING].splitlines():
+    for line in content[:BEGINNING].splitlines():
         if line.strip() and not line.lstrip().startswith("#"):
             return ";" if ";" in line and "," not in line else ","
     return ","
@@ -212,20 +211,20 @@ def numbers_of(name: str, column: str, cells: "pd.Series") -> FloatArray:
     return numbers.to_numpy(float)
 
 
-def check_columns(file: str, columns: Iterable[str], known: Sequence[str], needed: Sequence[str] = ()) -> list[str]:
+def check_columns(file: str, columns: Iterable[str], expected: Sequence[str], needed: Sequence[str] = ()) -> list[str]:
     """Names of the columns that are not known.
 
     Raises DataError for one that is needed and missing, and for one that is nearly a known one, such as `sinkage_mm`:
     it would be left out without a word.
     """
     present = list(columns)
-    unused = [name for name in present if name not in known]
+    unused = [name for name in present if name not in expected]
     if missing := next((name for name in needed if name not in present), None):
         guess = difflib.get_close_matches(missing, unused, n=1)
         hint = f"is it '{guess[0]}'? rename it" if guess else f"there are: {', '.join(present)}"
         raise DataError(f"{file}: no column {missing}; {hint}")
     for name in unused:
-        near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=ALIKE)
+        near = difflib.get_close_matches(name.lower(), expected, n=1, cutoff=ALIKE)
         if near and near[0] not in present:
             raise DataError(f"{file}: column '{name}' is unknown; if it is '{near[0]}', rename it and mind the unit")
     return unused
@@ -233,16 +232,16 @@ def check_columns(file: str, columns: Iterable[str], known: Sequence[str], neede
 
 def without_repeats(file: str, table: "pd.DataFrame", keys: Sequence[str]) -> "pd.DataFrame":
     """Rows that are there twice count once, with a warning; DataError where rows of one key contradict each other."""
-    kept = table.drop_duplicates()
-    if len(kept) < len(table):
-        text = f"{file}: {len(table) - len(kept)} of {len(table)} rows are there twice; each counts once"
+    once = table.drop_duplicates()
+    if len(once) < len(table):
+        text = f"{file}: {len(table) - len(once)} of {len(table)} rows are there twice; each counts once"
         warn(text)
-    again = kept.duplicated(list(keys))
+    again = once.duplicated(list(keys))
     if again.any():
-        row = kept[again].iloc[0]
-        said = ", ".join(f"{key} {row[key]}" for key in keys)
-        raise DataError(f"{file}: two rows of {said} contradict each other; keep the right one")
-    return kept.reset_index(drop=True)
+        row = once[again].iloc[0]
+        which = ", ".join(f"{key} {row[key]}" for key in keys)
+        raise DataError(f"{file}: two rows of {which} contradict each other; keep the right one")
+    return once.reset_index(drop=True)
 
 
 def _check_widths(name: str, content: str, separator: str, before: int = 0) -> None:
@@ -269,7 +268,7 @@ def _check_widths(name: str, content: str, separator: str, before: int = 0) -> N
 
 def _is_even(content: str, separator: str) -> bool:
     """Whether all lines after the header have as many separators, of a text without quotes, remarks and rare breaks."""
-    start = _header(content[:_BEGINNING].encode()).decode()
+    start = _header(content[:BEGINNING].encode()).decode()
     body = content[len(start) :]
     names = start.rstrip("\n").rpartition("\n")[2].rstrip("\r").split(separator)
     plain = content.isascii() and len(names) == len({name.strip() for name in names})

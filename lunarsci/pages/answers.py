@@ -33,15 +33,15 @@ def answer(document: Document) -> ResultAnswer:
     """
     made = ANSWERS.get(document.kind)
     with as_written(document):
-        found = made(document.result) if made else _unknown(document)
-        told = (document.result, document.result.get("soil"))
-        caution = next((str(one["caution"]) for one in told if isinstance(one, Mapping) and one.get("caution")), "")
-        trusted, said = trust(document.provenance, caution)
-        if trusted and found.trust:
-            said = f"{found.trust} {said}" if document.provenance.get("failures") else found.trust
-    tone = found.tone if trusted or found.tone == STOP else DOUBT
-    text = f"{said} Otherwise: {found.text}" if tone == DOUBT and found.tone == GO else found.text
-    return ResultAnswer(text, tone, said)
+        drafted = made(document.result) if made else _unknown(document)
+        parts = (document.result, document.result.get("soil"))
+        caution = next((str(one["caution"]) for one in parts if isinstance(one, Mapping) and one.get("caution")), "")
+        trusted, trust_text = trust(document.provenance, caution)
+        if trusted and drafted.trust:
+            trust_text = f"{drafted.trust} {trust_text}" if document.provenance.get("failures") else drafted.trust
+    tone = drafted.tone if trusted or drafted.tone == STOP else DOUBT
+    text = f"{trust_text} Otherwise: {drafted.text}" if tone == DOUBT and drafted.tone == GO else drafted.text
+    return ResultAnswer(text, tone, trust_text)
 
 
 def contradictions(documents: Sequence[Document]) -> dict[str, str]:
@@ -51,16 +51,16 @@ def contradictions(documents: Sequence[Document]) -> dict[str, str]:
         with as_written(document):
             hashes = {one.get("path"): one.get("sha256") for one in document.provenance.get("inputs") or ()}
             for record in document.result["spectra"]:
-                if known := hashes.get(record.get("source")):
-                    spectra.setdefault((known, record["id"]), []).append((document, record))
-    found: dict[str, dict[str, None]] = {}
-    for own in spectra.values():
-        for (fit, fitted), (mix, mixed) in product(own, own):
+                if digest := hashes.get(record.get("source")):
+                    spectra.setdefault((digest, record["id"]), []).append((document, record))
+    contrary: dict[str, dict[str, None]] = {}
+    for records in spectra.values():
+        for (fit, fitted), (mix, mixed) in product(records, records):
             with as_written(fit), as_written(mix):
-                told = rock_answers.against(fitted, mixed)
-            for name in (fit.name, mix.name) if told else ():
-                found.setdefault(name, {})[told] = None
-    return {name: some_of(list(told), MOST, " ") for name, told in found.items()}
+                text = rock_answers.against(fitted, mixed)
+            for name in (fit.name, mix.name) if text else ():
+                contrary.setdefault(name, {})[text] = None
+    return {name: some_of(list(text), MOST, " ") for name, text in contrary.items()}
 
 
 def namesakes(documents: Sequence[Document]) -> dict[str, str]:
@@ -70,17 +70,17 @@ def namesakes(documents: Sequence[Document]) -> dict[str, str]:
         hashes = {one.get("path"): one.get("sha256") for one in document.provenance.get("inputs") or ()}
         with as_written(document):
             for record in document.result.get("spectra") or ():
-                if isinstance(record, Mapping) and (known := hashes.get(record.get("source"))):
-                    seen.setdefault(str(record["id"]), {}).setdefault(known, []).append(document)
-    found: dict[str, list[str]] = {}
+                if isinstance(record, Mapping) and (digest := hashes.get(record.get("source"))):
+                    seen.setdefault(str(record["id"]), {}).setdefault(digest, []).append(document)
+    shared: dict[str, list[str]] = {}
     for name, by_data in seen.items():
-        for known, own in by_data.items() if len(by_data) > 1 else ():
-            others = dict.fromkeys(one.name for key, rest in by_data.items() if key != known for one in rest)
-            for document in dict.fromkeys(own):
+        for digest, here in by_data.items() if len(by_data) > 1 else ():
+            others = dict.fromkeys(one.name for key, rest in by_data.items() if key != digest for one in rest)
+            for document in dict.fromkeys(here):
                 if away := [other for other in others if other != document.name]:
-                    found.setdefault(document.name, []).append(f"{name} (of {', '.join(away)})")
+                    shared.setdefault(document.name, []).append(f"{name} (of {', '.join(away)})")
     same = "has the name of a spectrum of other data here"
-    return {document: f"This result {same}: {some_of(names, MOST)}." for document, names in found.items()}
+    return {document: f"This result {same}: {some_of(names, MOST)}." for document, names in shared.items()}
 
 
 def _unknown(document: Document) -> ResultAnswer:
@@ -105,8 +105,8 @@ def soil(result: Result) -> ResultAnswer:
     values = [
         (name, aspect[name]) for aspect in _aspects(result) for name in aspect if isinstance(aspect[name], Mapping)
     ]
-    found = [(k, v) for k, v in values if v.get("value") is not None and not v.get("assumed")]
-    lines = [f"{quantity(name)} {measured(item['value'], item.get('sigma'), _unit(name))}" for name, item in found]
+    determined = [(k, v) for k, v in values if v.get("value") is not None and not v.get("assumed")]
+    lines = [f"{quantity(name)} {measured(item['value'], item.get('sigma'), _unit(name))}" for name, item in determined]
     lost = [
         quantity(name)
         for name, item in values
@@ -117,20 +117,20 @@ def soil(result: Result) -> ResultAnswer:
         return ResultAnswer("These wheel states do not determine the soil.")
     states = len(result.get("observations", ())) or result.get("states")
     of = f"From {counted(states, 'wheel state')}: " if isinstance(states, int) and states else "The soil: "
-    told = [f" Not determined: {', '.join(lost)}." if lost else "", f" Assumed: {', '.join(taken)}." if taken else ""]
-    return ResultAnswer(f"{of}{'; '.join(lines)}.{''.join(told)}")
+    rest = [f" Not determined: {', '.join(lost)}." if lost else "", f" Assumed: {', '.join(taken)}." if taken else ""]
+    return ResultAnswer(f"{of}{'; '.join(lines)}.{''.join(rest)}")
 
 
 def _inferred(joint: Result) -> ResultAnswer:
-    known = [(name, one) for name, one in joint["parameters"].items() if one["determined"]]
+    determined = [(name, one) for name, one in joint["parameters"].items() if one["determined"]]
     lines = [
         f"{quantity(name)} {number(one['median'], 3)}, {number(one['low'], 3)} to "
         f"{number(one['high'], 3)} {_unit(name)}"
-        for name, one in known
+        for name, one in determined
     ]
     if not lines:
         return ResultAnswer("These wheel states hardly tell more of the soil than was believed before.")
-    rest = " The rest is hardly known better than before." if len(known) < len(joint["parameters"]) else ""
+    rest = " The rest is hardly known better than before." if len(determined) < len(joint["parameters"]) else ""
     return ResultAnswer(f"These wheel states determine, with 68 %: {'; '.join(map(str.strip, lines))}.{rest}")
 
 
@@ -169,13 +169,13 @@ SYMBOLS = {"-": "", "deg": "°"}
 
 def shown(result: Result) -> ResultAnswer:
     firsts = {str(one["quantity"]).partition(":")[0]: one for one in reversed(result["findings"])}
-    found = [
+    listed = [
         f"{one['quantity']}, {measured(one['value'], one.get('sigma'), SYMBOLS.get(one['unit'], one['unit']))}"
         for one in reversed(firsts.values())
     ]
-    more = len(result["findings"]) - len(found)
+    more = len(result["findings"]) - len(listed)
     rest = f" {more} more findings are below." if more else ""
-    return ResultAnswer(f"Everything here is synthetic. Found, among others: {'; '.join(found)}.{rest}")
+    return ResultAnswer(f"Everything here is synthetic. Found, among others: {'; '.join(listed)}.{rest}")
 
 
 ANSWERS: dict[str, Callable[[Result], ResultAnswer]] = {

@@ -1,10 +1,13 @@
 """Pictures that are drawn from a result's JSON and tables, with words for those who do not see them."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+import numpy as np
+
+from lunarsci.arrays import FloatArray
 from lunarsci.figure import DOT_STYLES, INK, LINE_STYLES, as_label, legend_below, page, picture_bytes, styled
 from lunarsci.pages.documents import Document
 from lunarsci.pages.drive_answers import interval_of
@@ -32,8 +35,8 @@ def charts(document: Document) -> Iterator[Chart]:
         with styled():
             made = draw(document)
             if made is not None:
-                title, told, figure = made
-                yield Chart(title, told, picture_bytes([figure], Path("page.svg")))
+                title, text, figure = made
+                yield Chart(title, text, picture_bytes([figure], Path("page.svg")))
 
 
 Drawn: TypeAlias = "tuple[str, str, Figure] | None"
@@ -51,58 +54,46 @@ def _spectra(document: Document) -> Drawn:
     figure, axes = _axes()
     spectra = [one for one in document.result["spectra"] if one.get("wavelength_nm")][:MOST_SPECTRA]
     for number_, one in enumerate(spectra):
-        x, y, error = ([_real(v) for v in one[key]] for key in ("wavelength_nm", "reflectance", "reflectance_sigma"))
+        x, y, error = (np.array(one[key], float) for key in ("wavelength_nm", "reflectance", "reflectance_sigma"))
         look: Any = LINE_STYLES[number_ % len(LINE_STYLES)]
-        axes.fill_between(
-            x,
-            [a - b for a, b in zip(y, error, strict=True)],
-            [a + b for a, b in zip(y, error, strict=True)],
-            color=look["color"],
-            alpha=0.25,
-            linewidth=0,
-        )
+        axes.fill_between(x, y - error, y + error, color=look["color"], alpha=0.25, linewidth=0)
         axes.plot(x, y, label=as_label(one["id"]), **look)
     if not spectra:
         return None
     axes.set(xlabel="wavelength [nm]", ylabel="reflectance factor [-]")
     legend_below(figure, axes, 2)
     names = ", ".join(str(one["id"]) for one in spectra)
-    told = f"Reflectance over wavelength of {names}; the bands are one standard error of the noise."
-    return "Calibrated spectra", told, figure
+    text = f"Reflectance over wavelength of {names}; the bands are one standard error of the noise."
+    return "Calibrated spectra", text, figure
 
 
 def _centres(document: Document) -> Drawn:
     """Depth over centre of the bands of each spectrum, with errors."""
     spectra = document.result["spectra"]
     figure, axes = _axes()
-    told = []
+    centres = []
     for key, name, look in (("1000", "1 µm", DOT_STYLES[0]), ("2000", "2 µm", DOT_STYLES[1])):
-        own = [one for one in spectra if None not in (one.get(f"bc{key}_nm"), one.get(f"bd{key}"))]
-        if own:
-            axes.errorbar(
-                [one[f"bc{key}_nm"] for one in own],
-                [one[f"bd{key}"] for one in own],
-                xerr=[_real(one.get(f"bc{key}_sigma_nm")) for one in own],
-                yerr=[_real(one.get(f"bd{key}_sigma")) for one in own],
-                linestyle="",
-                capsize=2,
-                label=f"{name} band",
-                **look,
+        measured = [one for one in spectra if None not in (one.get(f"bc{key}_nm"), one.get(f"bd{key}"))]
+        if measured:
+            at, depth, error, of_depth = _columns(
+                measured, f"bc{key}_nm", f"bd{key}", f"bc{key}_sigma_nm", f"bd{key}_sigma"
             )
-            told.append(f"{name}: " + ", ".join(f"{number(one[f'bc{key}_nm'])} nm" for one in own[:MOST_BARS]))
-    if not told:
+            axes.errorbar(at, depth, of_depth, error, linestyle="", capsize=2, label=f"{name} band", **look)
+            centres.append(f"{name}: " + ", ".join(f"{number(one[f'bc{key}_nm'])} nm" for one in measured[:MOST_BARS]))
+    if not centres:
         return None
     axes.set(xlabel="centre of the band [nm]", ylabel="depth [-]", ylim=(0, None))
     axes.legend()
     return (
         "Absorption bands",
-        f"Depth over centre of the bands, with standard errors. Centres: {'; '.join(told)}.",
+        f"Depth over centre of the bands, with standard errors. Centres: {'; '.join(centres)}.",
         figure,
     )
 
 
-def _real(value: Any) -> float:
-    return float("nan") if value is None else float(value)
+def _columns(records: Sequence[Mapping[str, Any]], *names: str) -> Iterator[FloatArray]:
+    """Numbers of records, (n,) each, NaN where there is none."""
+    return (np.array([one.get(name) for one in records], float) for name in names)
 
 
 def _absorptions(document: Document) -> Drawn:
@@ -115,41 +106,21 @@ def _absorptions(document: Document) -> Drawn:
         minerals.setdefault(band["mineral"], []).append(band)
     for place, (mineral, bands) in enumerate(minerals.items()):
         look = DOT_STYLES[place % len(DOT_STYLES)]
-        x, y = [_real(band["center_nm"]) for band in bands], [-_real(band["strength"]) for band in bands]
-        axes.errorbar(
-            x,
-            y,
-            xerr=[_real(band["fwhm_nm"]) / 2 for band in bands],
-            fmt="none",
-            ecolor=look["color"],
-            alpha=0.35,
-            linewidth=3,
-        )
-        axes.errorbar(
-            x,
-            y,
-            yerr=[_shown(band["strength_sigma"], band["strength"]) for band in bands],
-            linestyle="",
-            capsize=2,
-            label="visible and UV" if mineral == "any" else as_label(mineral),
-            **look,
-        )
+        at, strength, width, error = _columns(bands, "center_nm", "strength", "fwhm_nm", "strength_sigma")
+        error[error >= 3 * np.abs(strength)] = np.nan  # of what is not determined none
+        axes.errorbar(at, -strength, xerr=width / 2, fmt="none", ecolor=look["color"], alpha=0.35, linewidth=3)
+        label = "visible and UV" if mineral == "any" else as_label(mineral)
+        axes.errorbar(at, -strength, error, linestyle="", capsize=2, label=label, **look)
     axes.set(xlabel="centre of the band [nm]", ylabel="strength, ln R [-]", ylim=(0, None))
     legend_below(figure, axes, 4)
-    told = "; ".join(
+    text = "; ".join(
         f"{band['name']} at {number(band['center_nm'])} nm" for bands in minerals.values() for band in bands
     )
     return (
         f"Bands of {spectra[0]['id']}",
-        f"Centre and strength of each band; wide bars: full width at half maximum, thin ones: errors. {told}.",
+        f"Centre and strength of each band; wide bars: full width at half maximum, thin ones: errors. {text}.",
         figure,
     )
-
-
-def _shown(sigma: Any, value: Any) -> float:
-    """An error that a picture can hold; of a value that is not determined none."""
-    error = _real(sigma)
-    return error if error < 3 * abs(_real(value)) else float("nan")
 
 
 def _shares(document: Document) -> Drawn:
@@ -164,12 +135,12 @@ def _shares(document: Document) -> Drawn:
     outside = any((one.get("abundance") or {}).get("in_domain") is False for one in document.result["spectra"])
     title = "Shares of minerals, out of the domain of the method" if outside else "Shares of minerals"
     intervals = [(name, item["fraction"], item["low"], item["high"]) for name, item in rows]
-    return title, _told(title, intervals), _interval_figure(intervals, "share [-]", (0.0, 1.0))
+    return title, _intervals_text(title, intervals), _interval_figure(intervals, "share [-]", (0.0, 1.0))
 
 
-def _told(title: str, intervals: Any) -> str:
-    told = [f"{name} {number(mid, 3)} ({number(low, 3)} to {number(high, 3)})" for name, mid, low, high in intervals]
-    return f"{title}: {'; '.join(told)}."
+def _intervals_text(title: str, intervals: Any) -> str:
+    each = [f"{name} {number(mid, 3)} ({number(low, 3)} to {number(high, 3)})" for name, mid, low, high in intervals]
+    return f"{title}: {'; '.join(each)}."
 
 
 def _interval_figure(rows: Any, label: str, limits: tuple[float, float] | None = None) -> "Figure":
@@ -196,31 +167,20 @@ def _craters(document: Document) -> Drawn:
     ]
     figure, axes = _axes(height=1.0 + 0.36 * len(items))
     place = [-float(k) for k in range(len(items))]
-    axes.barh(
-        [y + 0.2 for y in place],
-        [one["prior"] for one in items],
-        0.36,
-        color="#c9ced2",
-        edgecolor=INK,
-        linewidth=0.5,
-        label="before: position, age and ejecta",
+    bars = (
+        ("prior", 0.2, "#c9ced2", "before: position, age and ejecta"),
+        ("posterior", -0.2, "#0072B2", "after: with composition"),
     )
-    axes.barh(
-        [y - 0.2 for y in place],
-        [one["posterior"] for one in items],
-        0.36,
-        color="#0072B2",
-        edgecolor=INK,
-        linewidth=0.5,
-        label="after: with composition",
-    )
+    for key, up, color, label in bars:
+        at, sizes = [y + up for y in place], [one[key] for one in items]
+        axes.barh(at, sizes, 0.36, color=color, edgecolor=INK, linewidth=0.5, label=label)
     axes.set_yticks(place, [as_label(one["name"]) for one in items])
     axes.set_xlabel("probability [-]")
     legend_below(figure, axes, 2)
-    told = "; ".join(f"{one['name']} {number(one['posterior'], 2)}" for one in items)
+    text = "; ".join(f"{one['name']} {number(one['posterior'], 2)}" for one in items)
     return (
         f"Where {rock['id']} came from",
-        f"Probability of each crater before and after its composition was looked at. After: {told}.",
+        f"Probability of each crater before and after its composition was looked at. After: {text}.",
         figure,
     )
 
@@ -240,17 +200,10 @@ def _soil_curves(document: Document) -> Drawn:
         return None
     figure = page(2.6 * len(drawn), WIDTH_IN)
     for axes, (curve, x, y) in zip(figure.subplots(len(drawn), 1, squeeze=False)[:, 0], drawn, strict=True):
-        known = [point for point in curve if None not in (point[y], point["low"], point["high"])]
-        at = [point[x] for point in known]
-        axes.fill_between(
-            at,
-            [point["low"] for point in known],
-            [point["high"] for point in known],
-            color="#0072B2",
-            alpha=0.25,
-            linewidth=0,
-        )
-        axes.plot(at, [point[y] for point in known], color="#0072B2")
+        points = [point for point in curve if None not in (point[y], point["low"], point["high"])]
+        at, middle, low, high = _columns(points, x, y, "low", "high")
+        axes.fill_between(at, low, high, color="#0072B2", alpha=0.25, linewidth=0)
+        axes.plot(at, middle, color="#0072B2")
         axes.set(xlabel=_label(x), ylabel=_label(y))
     alone = "joint" in document.result
     return (
@@ -274,10 +227,10 @@ def _label(key: str) -> str:
 
 
 def _left_of_prior(document: Document) -> Drawn:
-    found = (document.result.get("joint") or document.result).get("parameters") or (
+    parameters = (document.result.get("joint") or document.result).get("parameters") or (
         document.result.get("drives") or [{}]
     )[-1].get("parameters")
-    left = {name: one.get("left_of_prior", _unshrunk(one)) for name, one in (found or {}).items()}
+    left = {name: one.get("left_of_prior", _unshrunk(one)) for name, one in (parameters or {}).items()}
     rows = [(name, share) for name, share in left.items() if share is not None]
     if not rows:
         return None
@@ -287,8 +240,8 @@ def _left_of_prior(document: Document) -> Drawn:
     axes.axvline(1.0, color=INK, linestyle="--")
     axes.set_yticks(place, [_label(name).partition(" [")[0] for name, _ in rows])
     axes.set_xlabel("spread now / spread before any drive [-]\n1: nothing learned")
-    told = "; ".join(f"{words(name).partition(' [')[0]} {number(share, 2)}" for name, share in rows)
-    return "What was learned of the soil", f"Spread of each parameter as a part of what it was before: {told}.", figure
+    text = "; ".join(f"{words(name).partition(' [')[0]} {number(share, 2)}" for name, share in rows)
+    return "What was learned of the soil", f"Spread of each parameter as a part of what it was before: {text}.", figure
 
 
 def _unshrunk(parameter: Mapping[str, Any]) -> float | None:
@@ -322,13 +275,13 @@ def _limits(document: Document) -> Drawn:
         [words(one["quantity"]).partition(" [")[0] + ("" if one["ok"] else " (broken)") for one in rows],
     )
     axes.set(xlabel="share of the limit used [-]; above 1: broken", ylim=(-len(rows) + 0.5, 0.5), xlim=(0, None))
-    told = "; ".join(
+    text = "; ".join(
         f"{words(one['quantity']).partition(' [')[0]} {number(max(_used(one, one['min']), _used(one, one['max'])), 2)}"
         for one in rows
     )
     return (
         "How near the drives come to the limits",
-        f"Share of each limit that the predicted drives use, least, median and most: {told} at most.",
+        f"Share of each limit that the predicted drives use, least, median and most: {text} at most.",
         figure,
     )
 
@@ -352,10 +305,10 @@ def _wheel_states(document: Document) -> Drawn:
         strict=True,
     ):
         for place, wheel in enumerate(wheels[: len(DOT_STYLES)]):
-            own = [row for row in rows if row["wheel"] == wheel and row.get(name)]
+            of_wheel = [row for row in rows if row["wheel"] == wheel and row.get(name)]
             axes.plot(
-                [float(row["distance_m"]) for row in own],
-                [factor * float(row[name]) for row in own],
+                [float(row["distance_m"]) for row in of_wheel],
+                [factor * float(row[name]) for row in of_wheel],
                 linewidth=0.8,
                 markersize=4,
                 label=as_label(wheel),
@@ -380,8 +333,8 @@ def _wheel_loads(document: Document) -> Drawn:
     ]
     if not rows:
         return None
-    told = _told("Middle of each force, and its 5 % to 95 % along the way, or its standard error", rows)
-    return "Forces of the wheels", told, _interval_figure(rows, "force [N]")
+    text = _intervals_text("Middle of each force, and its 5 % to 95 % along the way, or its standard error", rows)
+    return "Forces of the wheels", text, _interval_figure(rows, "force [N]")
 
 
 CHARTS: dict[str, tuple[Callable[[Document], Any], ...]] = {

@@ -111,13 +111,13 @@ def read_results(
 
 def _in_memory(result: Result, number: int, drawn: bool) -> Document:
     """A result of a function, named by its kind and its place among those given."""
-    made = result.to_json()
-    found = json.loads(made)
-    schema = found["schema"].removeprefix("lunarsci/")
+    text = result.to_json()
+    made = json.loads(text)
+    schema = made["schema"].removeprefix("lunarsci/")
     kind = schema.rpartition("/")[0]
     pictures, cut = _picture_of(result, f"{kind}.png") if drawn else ({}, False)
     return Document(
-        f"{kind} ({number})", schema, found["result"], found["provenance"], None, pictures, cut, sha256(made.encode())
+        f"{kind} ({number})", schema, made["result"], made["provenance"], None, pictures, cut, sha256(text.encode())
     )
 
 
@@ -136,17 +136,17 @@ def _first_pages(figures: "Iterator[Figure]", name: str) -> tuple[dict[str, byte
     """
     from lunarsci.figure import picture_bytes, styled
 
-    found: list[bytes] = []
+    contents: list[bytes] = []
     more, start, suffix = False, Path(name).stem, Path(name).suffix
     with styled():
         for figure in figures:
             content = picture_bytes([figure], Path(name))
-            more = len(found) == MOST_PAGES or sum(map(len, found)) + len(content) > LARGEST_PICTURE
+            more = len(contents) == MOST_PAGES or sum(map(len, contents)) + len(content) > LARGEST_PICTURE
             if more:
                 break
-            found.append(content)
-    names = [name, *(f"{start}-{number}{suffix}" for number in range(2, len(found) + 1))]
-    return dict(zip(names, found, strict=False)), more
+            contents.append(content)
+    names = [name, *(f"{start}-{number}{suffix}" for number in range(2, len(contents) + 1))]
+    return dict(zip(names, contents, strict=False)), more
 
 
 def _map_picture(result: Mapping[str, Any], record: Mapping[str, Any], folder: Path) -> tuple[dict[str, bytes], bool]:
@@ -181,21 +181,21 @@ def _document(name: str, path: str | Path, folder: Path | None, drawn: bool) -> 
     file = read_input(path)
     if file.data.lstrip()[:1] not in (b"{", b"["):
         raise DataError(f"{path}: text, no JSON result; run its command again with --json -o {Path(path).stem}.json")
-    found = read_json(file, "a result", lambda value: value)
-    if isinstance(found, dict) and str(found.get("schema", "")).startswith(f"{BELIEF}/"):
+    made = read_json(file, "a result", lambda value: value)
+    if isinstance(made, dict) and str(made.get("schema", "")).startswith(f"{BELIEF}/"):
         return _belief(name, file)
-    if isinstance(found, dict) and str(found.get("schema", "")).startswith(f"{SOIL_MAP}/"):
+    if isinstance(made, dict) and str(made.get("schema", "")).startswith(f"{SOIL_MAP}/"):
         return _soil_map(name, file)
-    if not isinstance(found, dict) or not isinstance(found.get("result"), dict):
-        raise DataError(f"{file.name}: no result of a lunarsci command{_instead(found)}; {_remedy(found)}")
-    schema, record = found.get("schema"), found.get("provenance")
+    if not isinstance(made, dict) or not isinstance(made.get("result"), dict):
+        raise DataError(f"{file.name}: no result of a lunarsci command{_instead(made)}; {_remedy(made)}")
+    schema, record = made.get("schema"), made.get("provenance")
     if not isinstance(schema, str) or not schema.startswith("lunarsci/") or not isinstance(record, dict):
         raise DataError(f"{file.name}: its key `schema` does not name a lunarsci result; {REMEDY}")
     pictures, cut = {} if folder is None else _pictures_in(folder), False
     if drawn and schema.startswith("lunarsci/spectra-map/"):
-        pages, cut = _map_picture(found["result"], record, Path(path).parent)
+        pages, cut = _map_picture(made["result"], record, Path(path).parent)
         pictures |= pages
-    return Document(name, schema.removeprefix("lunarsci/"), found["result"], record, folder, pictures, cut, file.sha256)
+    return Document(name, schema.removeprefix("lunarsci/"), made["result"], record, folder, pictures, cut, file.sha256)
 
 
 def _belief(name: str, file: InputFile) -> Document:
@@ -203,18 +203,18 @@ def _belief(name: str, file: InputFile) -> Document:
     from lunarsci.figure import picture_bytes, styled
     from lunarsci.twin.jobs.history import history
 
-    told = history(file)
+    past = history(file)
     with styled():
-        drawn = picture_bytes([told.plot()], Path("soil.svg"))
+        drawn = picture_bytes([past.plot()], Path("soil.svg"))
     record = {
         "command": "lunarsci twin history",
         "inputs": [{"path": file.name, "sha256": file.sha256}],
-        "sources": list(told.made_from.sources),
-        "untrusted": told.untrusted,
+        "sources": list(past.made_from.sources),
+        "untrusted": past.untrusted,
         "failures": [],
     }
     pictures = {"the soil before any drive and now.svg": drawn}
-    return Document(name, told.schema, told.to_dict(), record, None, pictures, sha256=file.sha256)
+    return Document(name, past.schema, past.to_dict(), record, None, pictures, sha256=file.sha256)
 
 
 def _soil_map(name: str, file: InputFile) -> Document:
@@ -223,15 +223,15 @@ def _soil_map(name: str, file: InputFile) -> Document:
     from lunarsci.twin.figures.maps import soil_pages
     from lunarsci.twin.ground.soil_map import ground_about, map_record, read_soil_map, soil_layers
 
-    found = read_soil_map(file)
-    told, names = map_record(found), ("median of the soil.svg", "what is left of the first spread.svg")
+    soil_map = read_soil_map(file)
+    summary, names = map_record(soil_map), ("median of the soil.svg", "what is left of the first spread.svg")
     pictures = dict[str, bytes]()
-    if found.zones:
+    if soil_map.zones:
         with styled():
-            layers = soil_layers(found, ground_about(found, file.name))
-            drawn = soil_pages(layers, found)
+            layers = soil_layers(soil_map, ground_about(soil_map, file.name))
+            drawn = soil_pages(layers, soil_map)
             pictures = {one: picture_bytes([page], Path("soil.svg")) for one, page in zip(names, drawn, strict=True)}
-    doubts = dict.fromkeys(f"{one['name']}: {one['doubt']}" for one in told["zones"] if one["doubt"])
+    doubts = dict.fromkeys(f"{one['name']}: {one['doubt']}" for one in summary["zones"] if one["doubt"])
     record = {
         "command": "lunarsci twin update --save-map",
         "inputs": [{"path": file.name, "sha256": file.sha256}],
@@ -239,18 +239,18 @@ def _soil_map(name: str, file: InputFile) -> Document:
         "failures": [],
     }
     pictures = {one: content for one, content in pictures.items() if len(content) <= LARGEST_PICTURE}
-    return Document(name, "soil-map/1", told, record, None, pictures, sha256=file.sha256)
+    return Document(name, "soil-map/1", summary, record, None, pictures, sha256=file.sha256)
 
 
-def _remedy(found: Any) -> str:
+def _remedy(document: Any) -> str:
     """What to give instead of a document that is no result."""
-    schema = str(found.get("schema", "")) if isinstance(found, dict) else ""
+    schema = str(document.get("schema", "")) if isinstance(document, dict) else ""
     return NO_RESULTS.get(schema.rpartition("/")[0], REMEDY)
 
 
-def _instead(found: Any) -> str:
+def _instead(document: Any) -> str:
     """What a document is that is no result, where it says so."""
-    schema = found.get("schema") if isinstance(found, dict) else None
+    schema = document.get("schema") if isinstance(document, dict) else None
     return f" but {str(schema)[:60]}" if isinstance(schema, str) else ""
 
 

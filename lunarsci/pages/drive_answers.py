@@ -33,7 +33,7 @@ def predicted(result: Result) -> ResultAnswer:
     if not go:
         return ResultAnswer(f"No-go for {drive}: {'; '.join(_broken(result)) or 'a limit is broken'}.", STOP)
     broken = max((int(one.get("exceeding") or 0) for one in result["limits"]), default=0)
-    kept = (
+    limits_text = (
         f"a limit is broken by {broken} of {counted(members, 'predicted drive')}, fewer than one in twenty"
         if broken
         else f"all limits are kept in {counted(members, 'predicted drive')}"
@@ -42,7 +42,7 @@ def predicted(result: Result) -> ResultAnswer:
     near = f"; nearest to its limit comes the {quantity(tight['quantity'])}, {_of_limit(tight)}" if tight else ""
     end = result.get("endpoint")
     where = f" All drives end within {number(end['covering_radius_m'], 2)} m of the destination." if end else ""
-    return ResultAnswer(f"Go for {drive}: {kept}{near}.{where}{_made_up(result, 'verdict')}", GO)
+    return ResultAnswer(f"Go for {drive}: {limits_text}{near}.{where}{_made_up(result, 'verdict')}", GO)
 
 
 def _made_up(result: Result, what: str) -> str:
@@ -59,11 +59,11 @@ def _broken(result: Result) -> list[str]:
     """Why it is no go: limits that are broken, then reasons that are of no limit, as the command says them."""
     broken = [one for one in result["limits"] if one.get("ok") is False and one.get("p95") is not None]
     names = [str(one["quantity"]) for one in broken]
-    told = [
+    lines = [
         f"the {quantity(one['quantity'])} is {_reached(one)} in 95 % of the drives, {_bound(one)} is allowed"
         for one in broken
     ]
-    return told + [str(text) for text in result.get("reasons", ()) if str(text).partition(":")[0] not in names]
+    return lines + [str(text) for text in result.get("reasons", ()) if str(text).partition(":")[0] not in names]
 
 
 def _reached(limit: Result) -> str:
@@ -173,10 +173,10 @@ def states(result: Result) -> ResultAnswer:
 
 
 def loads(result: Result) -> ResultAnswer:
-    found = [interval for one in result["wheels"] if (interval := interval_of(one["normal_force_n"]))]
-    if not found:
+    intervals = [interval for one in result["wheels"] if (interval := interval_of(one["normal_force_n"]))]
+    if not intervals:
         return ResultAnswer("Forces of the wheels are not determined.")
-    low, high = min(low for _, low, _ in found), max(high for *_, high in found)
+    low, high = min(low for _, low, _ in intervals), max(high for *_, high in intervals)
     return ResultAnswer(
         f"The wheels carry {number(low, 3)} to {number(high, 3)} N each; "
         f"the rover weighs {number(result['weight_n'], 3)} N."
@@ -211,10 +211,10 @@ def soil_by_place(result: Result) -> ResultAnswer:
     if not zones:
         return ResultAnswer("The map has no zone yet: everywhere the priors hold, as before any drive.")
     drives = counted(result["drives"], "drive")
-    told = [f"{one['name']} ({one['stretch']}): {like(one['parameters'])}" for one in zones[:MOST]]
+    zone_lines = [f"{one['name']} ({one['stretch']}): {like(one['parameters'])}" for one in zones[:MOST]]
     rest = f" {counted(len(zones) - MOST, 'more zone')} below." if len(zones) > MOST else ""
     made_up = " The drives are synthetic." if result["synthetic"] else ""
-    of_each = " ".join(map(sentence, told))
+    of_each = " ".join(map(sentence, zone_lines))
     return ResultAnswer(
         f"The map knows the soil of {counted(len(zones), 'zone')}, from {drives}. {of_each}{rest}{made_up}"
     )
@@ -223,23 +223,24 @@ def soil_by_place(result: Result) -> ResultAnswer:
 def like(parameters: Mapping[str, Any]) -> str:
     """What the ground is like: the parameters that drives tell most of, with 68 %, and what they tell nothing of."""
     left = {name: float(one["left_of_prior"]) for name, one in parameters.items() if one.get("left_of_prior")}
-    told = [name for name in sorted(left, key=lambda name: left[name]) if left[name] <= UNMOVED]
+    moved = [name for name in sorted(left, key=lambda name: left[name]) if left[name] <= UNMOVED]
     lines = [
-        f"{quantity(name)} {number(one['median'], 3)} ({number(one['low'], 3)} to {number(one['high'], 3)}{_own(one)})"
+        f"{quantity(name)} {number(one['median'], 3)} ({number(one['low'], 3)} to {number(one['high'], 3)}"
+        f"{_of_ground(one)})"
         f"{_after(name)}"
-        for name, one in ((name, parameters[name]) for name in told[:MOST])
+        for name, one in ((name, parameters[name]) for name in moved[:MOST])
     ]
-    rest = [quantity(name) for name in left if name not in told]
+    rest = [quantity(name) for name in left if name not in moved]
     unmoved = f" Hardly better known than before any drive: {', '.join(rest)}." if rest else ""
-    known = (
+    learned_text = (
         f"The soil for predictions, median and 68 %: {'; '.join(lines)}."
         if lines
         else "Nothing of it is better known now."
     )
-    return f"{known}{unmoved}"
+    return f"{learned_text}{unmoved}"
 
 
-def _own(parameter: Mapping[str, Any]) -> str:
+def _of_ground(parameter: Mapping[str, Any]) -> str:
     """The interval of 68 % of the ground's own parameter, which is another than that of the one for predictions."""
     low, high = (parameter.get(f"ground_{side}_68") for side in ("low", "high"))
     return "" if low is None or high is None else f"; the ground's own {number(low, 3)} to {number(high, 3)}"
@@ -253,8 +254,8 @@ def _after(name: str) -> str:
 def compared(result: Result) -> ResultAnswer:
     end, verdict = result.get("end"), str(result["verdict"])
     where = "" if not end or end.get("error_m") is None else f" {_ended(end)}"
-    told = result.get("reasons") or result.get("near")
-    reason = f": {'; '.join(map(str, told))}" if told else ""
+    reasons = result.get("reasons") or result.get("near")
+    reason = f": {'; '.join(map(str, reasons))}" if reasons else ""
     return ResultAnswer(f"The prediction is {verdict}{reason}.{where}")
 
 
@@ -283,16 +284,16 @@ def designs(result: Result) -> ResultAnswer:
     best = [_design(designs[k], keys) for k in result["front"] if k < len(designs)]
     impossible = sum(bool(one.get("impossible")) for one in designs)
     lost = f" {counted(impossible, 'design')} cannot be built." if impossible else ""
-    told = (
+    front = (
         f"no other keeps more drives with less work than {', or '.join(best[:3])}" if best else "none could be driven"
     )
-    return ResultAnswer(f"Of {counted(len(designs), 'design')} {told}.{lost}{_made_up(result, 'trade')}")
+    return ResultAnswer(f"Of {counted(len(designs), 'design')} {front}.{lost}{_made_up(result, 'trade')}")
 
 
 def _design(design: Result, keys: list[str]) -> str:
     made = ", ".join(f"{words(key)} {number(design[key], 3)}" for key in keys if key in design)
-    kept = f" ({percent(design['kept_share'])} of its drives kept)" if design.get("kept_share") is not None else ""
-    return f"that of {made}{kept}"
+    share = f" ({percent(design['kept_share'])} of its drives kept)" if design.get("kept_share") is not None else ""
+    return f"that of {made}{share}"
 
 
 def _mm(value: float | None, digits: int = 2) -> str:
@@ -395,13 +396,13 @@ def ruts(result: Result) -> ResultAnswer:
 
 
 def rocks(result: Result) -> ResultAnswer:
-    found = result["rocks"]
-    largest = max(found, key=lambda one: float(one["diameter_m"]), default=None)
+    listed = result["rocks"]
+    largest = max(listed, key=lambda one: float(one["diameter_m"]), default=None)
     tall = (
         f" The largest is {measured(largest['diameter_m'], largest.get('diameter_m_sigma'), 'm')} across."
         if largest
         else ""
     )
     false = result.get("expected_false_share")
-    doubt = f", of which {percent(false)} are expected to be none" if found and false else ""
-    return ResultAnswer(f"{_synthetic(result.get('terrain') or {})}{counted(len(found), 'rock')} found{doubt}.{tall}")
+    doubt = f", of which {percent(false)} are expected to be none" if listed and false else ""
+    return ResultAnswer(f"{_synthetic(result.get('terrain') or {})}{counted(len(listed), 'rock')} found{doubt}.{tall}")

@@ -42,11 +42,11 @@ class ReportedResults(Result):
                 "file": one.name,
                 "schema": one.schema,
                 "title": page.section_title(one),
-                "tone": said.tone,
-                "answer": said.text,
-                "trust": said.trust,
+                "tone": answer.tone,
+                "answer": answer.text,
+                "trust": answer.trust,
             }
-            for one, said in zip(page.documents, page.answers, strict=True)
+            for one, answer in zip(page.documents, page.answers, strict=True)
         ]
 
     def html(self, *, time: bool = True) -> bytes:
@@ -122,12 +122,12 @@ def _terrain_of(documents: Sequence[Document]) -> Ground | None:
     for document in documents:
         options = document.provenance.get("options") or {}
         name = options.get("terrain")
-        if document.kind.startswith("twin-") and isinstance(name, str) and _known(name, document):
+        if document.kind.startswith("twin-") and isinstance(name, str) and _is_unchanged(name, document):
             return _terrain(name, options.get("height_unit"))
     return None
 
 
-def _known(name: str, document: Document) -> bool:
+def _is_unchanged(name: str, document: Document) -> bool:
     """Whether it is the embedded terrain, or a file that still is what the drive was made with."""
     from lunarsci.io.inputs import read_input
 

@@ -95,18 +95,18 @@ class Section:
     @property
     def trust(self) -> str:
         """What the command says of it, where the answer does not say it already."""
-        told = self.answer.trust
-        return "" if told.rstrip(".").lower() in self.answer.text.lower() else told
+        text = self.answer.trust
+        return "" if text.rstrip(".").lower() in self.answer.text.lower() else text
 
     @property
     def mark(self) -> str:
         """The answer's tone in a word or two; '' for one that needs none."""
         named = next((word for word in (MARKS[GO], MARKS[STOP]) if self.answer.text.startswith(f"{word} ")), "")
-        found = MARKS.get(self.answer.tone, "")
-        return named or (f"{found}." if found else "")
+        tone = MARKS.get(self.answer.tone, "")
+        return named or (f"{tone}." if tone else "")
 
     @property
-    def told(self) -> str:
+    def body(self) -> str:
         """The answer after its mark."""
         return self.answer.text.removeprefix(f"{self.mark} ") if self.mark else self.answer.text
 
@@ -138,8 +138,8 @@ class Page:
 
     def __post_init__(self) -> None:
         against, others = contradictions(self.documents), namesakes(self.documents)
-        said = [(answer(one), against.get(one.name), others.get(one.name)) for one in self.documents]
-        answers = [replace(one, trust=" ".join(filter(None, (one.trust, *more)))) for one, *more in said]
+        each = [(answer(one), against.get(one.name), others.get(one.name)) for one in self.documents]
+        answers = [replace(one, trust=" ".join(filter(None, (one.trust, *more)))) for one, *more in each]
         object.__setattr__(self, "answers", answers)
 
     def section_title(self, document: Document) -> str:
@@ -154,7 +154,7 @@ class Page:
         Raises ParameterError without jinja2.
         """
         ground = None if self.ground is None else relief(self.ground, [*lines_of(self.documents), *self.ways])
-        sections = [self._section(one, said) for one, said in zip(self.documents, self.answers, strict=True)]
+        sections = [self._section(one, given) for one, given in zip(self.documents, self.answers, strict=True)]
         first = next((place for place, one in enumerate(sections) if one.pictures), None)
         text = _template().render(
             title=printable(self.title),
@@ -166,7 +166,7 @@ class Page:
             ground=None if ground is None else _ground(ground),
             sources=parts.sources(self.documents),
             rest="All digits are in the files that it was made from.",
-            **_own_files(),
+            **_style_and_script(),
         )
         return str(text).encode()
 
@@ -175,14 +175,14 @@ class Page:
         heard = (str(text) for one in self.documents for text in one.provenance.get("warnings") or ())
         return any(of_first_page(text) and Path(text.partition(": ")[0]).name == picture for text in heard)
 
-    def _section(self, document: Document, said: ResultAnswer) -> Section:
+    def _section(self, document: Document, given: ResultAnswer) -> Section:
         with as_written(document):
             drawn = [_drawn(chart) for chart in charts(document)]
             plotted = document.pictures.items()
             drawn += [_shown(name, content, first=self._is_first(name)) for name, content in plotted]
             main, alone = parts.apart(document)
             return Section(
-                printable(self.section_title(document)), said, drawn, document.cut * len(plotted),
+                printable(self.section_title(document)), given, drawn, document.cut * len(plotted),
                 parts.tables(main), parts.budget(main),
                 parts.assumed(main), parts.unknown(main), parts.provenance(document), _made_up(document.result), alone,
             )  # fmt: skip
@@ -216,7 +216,7 @@ def _address(suffix: str, content: bytes) -> str:
     return f"data:{MIME[suffix]};base64,{base64.b64encode(content).decode()}"
 
 
-def _own_files() -> dict[str, Any]:
+def _style_and_script() -> dict[str, Any]:
     """Style and script of the page, and their hashes: nothing else may run in it."""
     from markupsafe import Markup
 

@@ -13,7 +13,7 @@ from lunarsci.pages.documents import Document
 from lunarsci.pages.rock_answers import standing_of
 from lunarsci.pages.words import MOST, counted, heard_of, measured, number, percent, unit, words
 from lunarsci.regolith.jobs.identify import alone_title
-from lunarsci.result import PRIORS_OWN, doubt_about, from_prior
+from lunarsci.result import AS_PRIOR, doubt_about, from_prior
 from lunarsci.spectra.jobs.bands import METHODS, SHORT, regression
 from lunarsci.spectra.mgm import PERCENT_OF, with_trend
 
@@ -37,7 +37,7 @@ OF_CONTINUUM = re.compile(r"b[acd](1000|2000)(_nm)?")
 """Bands, whose systematic part is the spread over continua alone."""
 VALUES = ("value", "mean", "fraction", "median")
 """Keys of a number that its object is named for."""
-SAID = (
+NOTES = (
     *("notes", "remarks", "reasons", "reason", "doubt", "caution", "caveat", "status", "why_none", "refused"),
     *("must_mend", "not_compared"),
 )
@@ -86,15 +86,15 @@ class Quantity:
 def quantities(record: Mapping[str, Any], of: tuple[str, ...] = (), most: int | None = None) -> Iterator[Quantity]:
     """All of them, in their order; of lists of objects those of one, or the first `most`."""
     spent = _keys_of_parts(record)
-    kept = next((key for key in VALUES if _is_number(record.get(key))), "")
+    named = next((key for key in VALUES if _is_number(record.get(key))), "")
     shared = doubt_about(record) if "in_domain" in record else ""
-    alone = (bool(kept) or "prior_sigma" in record) and any(key in record for key in ("in_range", "reason", "low"))
+    alone = (bool(named) or "prior_sigma" in record) and any(key in record for key in ("in_range", "reason", "low"))
     for key, item in record.items():
-        if key in spent or key in SAID or item is None or key.endswith("_note") or (alone and key != kept):
+        if key in spent or key in NOTES or item is None or key.endswith("_note") or (alone and key != named):
             continue
         if isinstance(item, Mapping):
-            told = {"doubt": shared} if shared and _is_number(item.get("fraction")) else {}
-            yield from quantities({**item, **told}, of if key in GROUPS else (*of, key), most)
+            doubt = {"doubt": shared} if shared and _is_number(item.get("fraction")) else {}
+            yield from quantities({**item, **doubt}, of if key in GROUPS else (*of, key), most)
         elif isinstance(item, list):
             yield from _of_list(key, item, of, most)
         elif _is_number(item):
@@ -110,8 +110,8 @@ def _of_list(key: str, items: list[Any], of: tuple[str, ...], most: int | None) 
     elif all(isinstance(one, Mapping) for one in items) and (len(items) == 1 or most is not None):
         for place, one in enumerate(items[: most if key in MANY else LONGEST]):
             named = next((str(one[name]) for name in ("id", "name", "quantity", "wheel") if one.get(name)), "")
-            own = named or (key if len(items) == 1 else f"{words(key)} {place + 1}")
-            yield from quantities(one, (*of, own), most)
+            label = named or (key if len(items) == 1 else f"{words(key)} {place + 1}")
+            yield from quantities(one, (*of, label), most)
 
 
 def _quantity(record: Mapping[str, Any], key: str, of: tuple[str, ...]) -> Quantity:
@@ -120,7 +120,7 @@ def _quantity(record: Mapping[str, Any], key: str, of: tuple[str, ...]) -> Quant
     name, symbol, above = _named(record, key, of)
     doubt = str(record.get("doubt") or ("" if "in_domain" in record else doubt_about(record)))
     if not doubt and _is_number(record.get("prior_sigma")) and from_prior(record.get("sigma"), record["prior_sigma"]):
-        doubt = PRIORS_OWN
+        doubt = AS_PRIOR
     refused = bool(doubt)
     if not refused and record.get("domain") and isinstance(record["domain"], str):
         doubt = f"only if {record['domain']}"
@@ -132,7 +132,7 @@ def _quantity(record: Mapping[str, Any], key: str, of: tuple[str, ...]) -> Quant
     shown = measured(value, sigma, "", within) if sigma else number(value)
     if sigma and not refused and "trend_sigma" in record:
         shown = with_trend(shown, record["trend_sigma"])
-    return Quantity(_path(above), name, shown, {part: number(float(own), 2) for part, own in parts.items()}, doubt)
+    return Quantity(_path(above), name, shown, {part: number(float(size), 2) for part, size in parts.items()}, doubt)
 
 
 def _named(record: Mapping[str, Any], key: str, of: tuple[str, ...]) -> tuple[str, str, tuple[str, ...]]:
@@ -164,14 +164,14 @@ def _is_number(item: Any) -> bool:
 def _parts_of(record: Mapping[str, Any], key: str) -> dict[str, str]:
     """Keys of the parts of an error: `center_sigma_nm` and `center_nm_sigma` of `center_nm`, `sigma` of `value`."""
     stem, _, end = key.rpartition("_")
-    found = {}
+    keys = {}
     for part in PARTS:
         tries = [f"{key}_{part}", *([f"{stem}_{part}_{end}"] if stem else [])]
         tries += [part] if key in (*VALUES, "opx") else []
         name = next((one for one in tries if one != key and _is_number(record.get(one))), None)
         if name is not None:
-            found[part] = name
-    return found
+            keys[part] = name
+    return keys
 
 
 def _keys_of_parts(record: Mapping[str, Any]) -> set[str]:
@@ -235,18 +235,18 @@ def apart(document: Document) -> tuple[Document, PagePart | None]:
         taken["shear_modulus_mm"] = modulus
     single = replace(document, result=alone, provenance={})
     remarks = [*unknown(single), *(f"assumed: {line}" for line in assumed(single))]
-    found = [replace(one, title=AGREEMENT if one.title == "agreement" else one.title) for one in tables(single)]
+    tested = [replace(one, title=AGREEMENT if one.title == "agreement" else one.title) for one in tables(single)]
     main = {key: item for key, item in result.items() if key not in SINGLE_STATES}
-    return replace(document, result=main), PagePart(alone_title(taken), remarks, found)
+    return replace(document, result=main), PagePart(alone_title(taken), remarks, tested)
 
 
 def tables(document: Document) -> list[PageTable]:
     """All numbers of a result: one table of single values, then one for each list of things alike."""
     single = _single(document.result)
-    found = [PageTable("Single values", ["of", "quantity", "value"], single)] if single else []
+    made = [PageTable("Single values", ["of", "quantity", "value"], single)] if single else []
     for key, items in _lists(document.result):
-        found.append(_listed(words(key), items))
-    return found
+        made.append(_listed(words(key), items))
+    return made
 
 
 def _single(result: Mapping[str, Any]) -> list[list[str]]:
@@ -256,8 +256,8 @@ def _single(result: Mapping[str, Any]) -> list[list[str]]:
         groups.setdefault(one.of, []).append(one)
     return [
         [of if place == 0 else "", one.name, _with_remark(one)]
-        for of, own in groups.items()
-        for place, one in enumerate(own)
+        for of, members in groups.items()
+        for place, one in enumerate(members)
     ]
 
 
@@ -280,8 +280,8 @@ def _lists(value: Any, name: str = "") -> Iterator[tuple[str, list[Mapping[str, 
 def _listed(title: str, items: Sequence[Mapping[str, Any]]) -> PageTable:
     if all("kept" in item and "sense" in item for item in items):
         # Limits: what 95 % of the drives keep is the upper end or the lower one, as the limit is.
-        kept = "kept_by_95" if all(item.get("share") == 0.95 for item in items) else "kept"
-        items = [{key.replace("kept", kept): item[key] for key in item if key not in ("p05", "p95")} for item in items]
+        upper = "kept_by_95" if all(item.get("share") == 0.95 for item in items) else "kept"
+        items = [{key.replace("kept", upper): item[key] for key in item if key not in ("p05", "p95")} for item in items]
     names = [key for key in ("id", "name", "quantity") if key in items[0]]
     flat = [
         {words(key): words(item[key]) if key == "quantity" else number(item[key]) for key in names}
@@ -290,8 +290,8 @@ def _listed(title: str, items: Sequence[Mapping[str, Any]]) -> PageTable:
         for item in items[:MOST_ROWS]
     ]
     first = [*(words(key) for key in names), *SAYS, *(words(key) for key in FIRST)]
-    found = dict.fromkeys(key for row in flat for key in row)
-    headers = [*(key for key in first if key in found), *(key for key in found if key not in first)]
+    present = dict.fromkeys(key for row in flat for key in row)
+    headers = [*(key for key in first if key in present), *(key for key in present if key not in first)]
     shown = headers[:MOST_COLUMNS]
     rows = [[row.get(name, "–") for name in shown] for row in flat]
     left = [f"{len(items) - MOST_ROWS} more rows"] if len(items) > MOST_ROWS else []
@@ -302,10 +302,10 @@ def _listed(title: str, items: Sequence[Mapping[str, Any]]) -> PageTable:
 def _verdict(item: Mapping[str, Any]) -> dict[str, str]:
     """What a result says of one thing, by columns of `SAYS`."""
     choice = item.get("choice") or {}
-    found = {key: ", ".join(choice[key]) or "–" for key in ("sure", "open") if key in choice}
+    cells = {key: ", ".join(choice[key]) or "–" for key in ("sure", "open") if key in choice}
     if "best" in item:
-        found["best"] = str(item["best"] or "not decided")
-    return found | ({"status": str(item["status"])} if isinstance(item.get("status"), str) else {})
+        cells["best"] = str(item["best"] or "not decided")
+    return cells | ({"status": str(item["status"])} if isinstance(item.get("status"), str) else {})
 
 
 def _column(one: Quantity) -> str:
@@ -317,11 +317,11 @@ def budget(document: Document) -> PageTable | None:
     stated = list(_with_errors(document.result))
     several = [one for one in stated if one.parts.keys() - {STANDARD_ERROR}]
     every = [*_shares(document.result), *(several or stated)]
-    found = every[:MOST_ROWS]
-    if not found:
+    shown = every[:MOST_ROWS]
+    if not shown:
         return None
-    columns = list(dict.fromkeys(key for one in found for key in one.parts if key != STANDARD_ERROR))
-    valued, read_with = any(one.text for one in found), any(one.remark for one in found)
+    columns = list(dict.fromkeys(key for one in shown for key in one.parts if key != STANDARD_ERROR))
+    valued, read_with = any(one.text for one in shown), any(one.remark for one in shown)
     rows = [
         [
             f"{one.of}: {one.name}" if one.of else one.name,
@@ -329,11 +329,11 @@ def budget(document: Document) -> PageTable | None:
             *(one.parts.get(key, "–") for key in columns),
             *([one.remark] if read_with else []),
         ]
-        for one in found
+        for one in shown
     ]
     headers = ["quantity", *(["value"] if valued else []), *columns, *(["read with"] if read_with else [])]
     note = "errors are in the unit of their quantity, one standard error each; –: not stated, which does not mean 0"
-    note += f"; {len(every) - len(found)} more rows: in the file" if len(every) > len(found) else ""
+    note += f"; {len(every) - len(shown)} more rows: in the file" if len(every) > len(shown) else ""
     return PageTable("", headers, rows, note)
 
 
@@ -358,8 +358,8 @@ def _shares(result: Mapping[str, Any]) -> Iterator[Quantity]:
         yield Quantity(end, "by the time step [m]", "", {"of the model": number(result["step_error_m"], 2)})
     for one in (result.get("spectra") or ())[:MOST]:
         for name, values in (one.get("systematic") or {}).items():
-            known = [value for value in values if isinstance(value, float)]
-            rms = (sum(value * value for value in known) / len(known)) ** 0.5 if known else None
+            numbers = [value for value in values if isinstance(value, float)]
+            rms = (sum(value * value for value in numbers) / len(numbers)) ** 0.5 if numbers else None
             if rms is not None:
                 yield Quantity(f"{one.get('id')} reflectance", words(name), "", {"root mean square": number(rms, 2)})
 
@@ -381,15 +381,15 @@ def _of_rover(keys: Sequence[Any]) -> list[str]:
     """What is assumed of a rover, by its parts."""
     parts: dict[str, list[str]] = {}
     for key in map(str, keys):
-        part, _, own = key.rpartition(".")
-        parts.setdefault(part, []).append(words(own).partition(" [")[0])
+        part, _, names = key.rpartition(".")
+        parts.setdefault(part, []).append(words(names).partition(" [")[0])
     if not parts:
         return []
     if len(keys) > MOST_ASSUMED:
         named = ", ".join(part.replace("_", " ") for part in parts if part)
         return [f"of the rover, {len(keys)} values, of {named or 'several parts'}; its description names each"]
-    told = "; ".join(f"{part}: {', '.join(own)}" for part, own in parts.items())
-    return [f"of the rover, {told}"]
+    text = "; ".join(f"{part}: {', '.join(names)}" for part, names in parts.items())
+    return [f"of the rover, {text}"]
 
 
 def _assumed_in(value: Any, name: str) -> list[str]:
@@ -411,21 +411,21 @@ def _assumed_in(value: Any, name: str) -> list[str]:
 def unknown(document: Document) -> list[str]:
     """What the answer does not know or should be read with, one line each; what several things share once."""
     record = document.provenance
-    found = [("", str(text)) for text in (*(record.get("failures") or ()), *heard_of(record))]
-    found += [("", text) for text in _of_kind(document)]
-    found += _choices(document.result)
-    found += _said(_without_choices(document.result))
-    found += [
+    notes = [("", str(text)) for text in (*(record.get("failures") or ()), *heard_of(record))]
+    notes += [("", text) for text in _of_kind(document)]
+    notes += _choices(document.result)
+    notes += _notes_in(_without_choices(document.result))
+    notes += [
         (one.name.partition(" [")[0], f"{one.text}: {one.remark}" if one.refused else one.remark)
         for one in quantities(document.result)
         if one.remark and one.text != number(None)
     ]
     names: dict[str, list[str]] = {}
-    for of, text in found:
-        if any(other.endswith(f": {text}") for _, other in found):
+    for of, text in notes:
+        if any(other.endswith(f": {text}") for _, other in notes):
             continue  # a warning, which names its file, says it
         names.setdefault(text, []).append(of)
-    return [_line(list(dict.fromkeys(filter(None, own))), text) for text, own in names.items()][:MOST_LINES]
+    return [_line(list(dict.fromkeys(filter(None, owners))), text) for text, owners in names.items()][:MOST_LINES]
 
 
 def _chosen(result: Mapping[str, Any]) -> list[Mapping[str, Any]]:
@@ -437,11 +437,11 @@ def _chosen(result: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 def _choices(result: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """What was not decided of each spectrum; of many how many have which answer."""
     weak = [one for one in _chosen(result) if not one["choice"].get("strong")]
-    told = [(str(one.get("id")), f"by weak evidence: {standing_of(one['choice'])}") for one in weak]
-    if len(told) <= MOST_CHOICES:
-        yield from told
+    open_ones = [(str(one.get("id")), f"by weak evidence: {standing_of(one['choice'])}") for one in weak]
+    if len(open_ones) <= MOST_CHOICES:
+        yield from open_ones
         return
-    for text, count in Counter(text for _, text in told).most_common():
+    for text, count in Counter(text for _, text in open_ones).most_common():
         yield counted(count, "spectrum"), text
 
 
@@ -459,33 +459,33 @@ def _of_kind(document: Document) -> list[str]:
 
     result = document.result
     spectra = result.get("spectra") or ()
-    found = (
+    notes = (
         ("spectra-fit", BIC_OF_CHOICE, any(one.get("choice") for one in spectra)),
         ("twin-forces", TOGETHER, result.get("totals")),
         ("twin-states", DEEPEST, result.get("sinkages")),
     )
-    return [text for kind, text, shown in found if kind == document.kind and shown]
+    return [text for kind, text, shown in notes if kind == document.kind and shown]
 
 
 def _line(names: Sequence[str], text: str) -> str:
     return f"{some_of(names, MOST_NAMED, '; ')}: {text}" if names else text
 
 
-def _said(value: Any, name: str = "", one_of_many: bool = False) -> Iterator[tuple[str, str]]:
+def _notes_in(value: Any, name: str = "", one_of_many: bool = False) -> Iterator[tuple[str, str]]:
     """Texts of a result, and of a caveat or a reason what it is of; what is refused is told with its value."""
     if isinstance(value, list):
         for item in value[:MOST_ROWS]:
-            yield from _said(item, name, len(value) > 1)
+            yield from _notes_in(item, name, len(value) > 1)
     elif isinstance(value, Mapping) and value.get("in_range") is not False:
         for key, item in value.items():
-            if key in SAID or key.endswith("_note"):
+            if key in NOTES or key.endswith("_note"):
                 of = NOTED.get(key, _what(value, name) if key in OF_ONE else "")
                 of += f" of {value['id']}" if key in NOTED and one_of_many else ""
                 yield from ((of, text) for text in _texts(item))
             elif key == "findings":
                 yield from (("", f"{one.get('what', one.get('quantity'))}") for one in item if "what" in one)
             elif key != "observations":
-                yield from _said(item, key)
+                yield from _notes_in(item, key)
 
 
 def _what(record: Mapping[str, Any], name: str) -> str:

@@ -126,13 +126,13 @@ def relief(grid: Ground, lines: Sequence[Line]) -> GroundView:
         note += f" Of each prediction at most {MOST_DRIVES} drives are drawn."
     ground = f"{grid.name}{' (synthetic)' if grid.synthetic and 'synthetic' not in grid.name else ''}"
     names = list(dict.fromkeys(line.name for line in lines))
-    known = height[np.isfinite(height)]
-    told = (
-        f"{ground}, {x[-1] - x[0]:.1f} m by {y[-1] - y[0]:.1f} m, heights {known.min():.2f} to {known.max():.2f} m"
+    heights = height[np.isfinite(height)]
+    words = (
+        f"{ground}, {x[-1] - x[0]:.1f} m by {y[-1] - y[0]:.1f} m, heights {heights.min():.2f} to {heights.max():.2f} m"
         f"{', with lines: ' + ', '.join(names) if names else ''}."
     )
     legend = list(dict.fromkeys((line.name, line.color, line.dashed) for line in lines))
-    return GroundView(_packed(x, y, height, shown), _still(x, y, height, lines), note, told, legend)
+    return GroundView(_packed(x, y, height, shown), _still(x, y, height, lines), note, words, legend)
 
 
 def _window(grid: Ground, lines: Sequence[Line]) -> tuple[Any, Any]:
@@ -143,7 +143,7 @@ def _window(grid: Ground, lines: Sequence[Line]) -> tuple[Any, Any]:
         return whole
     points = np.vstack([line.xy_m for line in lines])
     origin = (grid.x0_m, grid.y0_m)
-    found = [
+    inside = [
         number[(at >= low - MARGIN_M) & (at <= high + MARGIN_M)]
         for number, at, low, high in (
             (
@@ -155,15 +155,15 @@ def _window(grid: Ground, lines: Sequence[Line]) -> tuple[Any, Any]:
             for axis in (1, 0)
         )
     ]
-    return (found[0], found[1]) if min(map(len, found)) >= 3 else whole
+    return (inside[0], inside[1]) if min(map(len, inside)) >= 3 else whole
 
 
 def _heights_at(xy: FloatArray, x: FloatArray, y: FloatArray, height: FloatArray) -> FloatArray:
     """Height of the nearest node; the mean where it has none or the place is beyond the ground."""
     row = np.abs(y[:, None] - xy[:, 1]).argmin(axis=0)
     column = np.abs(x[:, None] - xy[:, 0]).argmin(axis=0)
-    found: FloatArray = np.nan_to_num(height[row, column], nan=float(np.nanmean(height)))
-    return found
+    nearest: FloatArray = np.nan_to_num(height[row, column], nan=float(np.nanmean(height)))
+    return nearest
 
 
 def _packed(x: FloatArray, y: FloatArray, height: FloatArray, lines: Sequence[tuple[Line, FloatArray]]) -> str:

@@ -11,10 +11,8 @@ from lunarsci.spectra.jobs.verdicts import bands_meaning, centre_texts, fit_verd
 
 ERRORS = ("sigma", "systematic", "gaussian", "method", "calibration", "rms", "chi")
 """Parts of names of layers that are errors of others."""
-ALL = 0.995
-"""Share of a map from which it counts as all of it: 100 % when rounded; assumed."""
-HALF = 0.5
-"""A share of one with a larger error than this is not determined; assumed."""
+UNIFORM = 12**-0.5
+"""Standard deviation of a uniform distribution between 0 and 1: a share with this error is not determined."""
 MOST_LAYERS = 3
 """Layers of a map that a sentence names, centres of bands first."""
 MOST_NAMED = 4
@@ -45,12 +43,12 @@ def bands(result: Result) -> ResultAnswer:
     spectra = result["spectra"]
     if len(spectra) <= MOST_NAMED:
         return ResultAnswer(each(spectra, _one_bands, "spectrum"), trust=_depending(spectra))
-    told = []
+    of_band = []
     for key, name in (("1000", "1 µm"), ("2000", "2 µm")):
         centres = [one[f"bc{key}_nm"] for one in spectra if one.get(f"bc{key}_nm") is not None]
         span = f", centred from {min(centres):.0f} to {max(centres):.0f} nm" if centres else ""
-        told.append(f"{len(centres)} have a band near {name} that could be measured{span}")
-    return ResultAnswer(f"Of {counted(len(spectra), 'spectrum')} {'; '.join(told)}.", trust=_depending(spectra))
+        of_band.append(f"{len(centres)} have a band near {name} that could be measured{span}")
+    return ResultAnswer(f"Of {counted(len(spectra), 'spectrum')} {'; '.join(of_band)}.", trust=_depending(spectra))
 
 
 def _depending(spectra: Sequence[Result]) -> str:
@@ -65,13 +63,13 @@ def _depending(spectra: Sequence[Result]) -> str:
 
 
 def _one_bands(one: Result) -> str:
-    found = [
+    centres = [
         f"at {centre}, {measured(_times(one.get(f'bd{key}'), 100), _times(one.get(f'bd{key}_sigma'), 100), '%')} deep"
         for key, centre in centre_texts(one).items()
     ]
-    if not found:
+    if not centres:
         return f"{one['id']} has no absorption band near 1 or 2 µm that could be measured."
-    return f"{one['id']} absorbs {' and '.join(found)}. {sentence(bands_meaning(one))}"
+    return f"{one['id']} absorbs {' and '.join(centres)}. {sentence(bands_meaning(one))}"
 
 
 def _times(value: Any, factor: float) -> Any:
@@ -84,9 +82,9 @@ def fit(result: Result) -> ResultAnswer:
 
 def unmixed(result: Result) -> ResultAnswer:
     without = [str(one["id"]) for one in result["spectra"] if not one["abundance"]["in_domain"]]
-    told = [f"Shares of {some_of(without, MOST_NAMED)} are to be quoted with their 95 % intervals alone."]
+    caution = [f"Shares of {some_of(without, MOST_NAMED)} are to be quoted with their 95 % intervals alone."]
     answer = each(result["spectra"], _one_unmixed, "spectrum", _unmixed_in_short)
-    return ResultAnswer(answer, trust=told[0] if without else "")
+    return ResultAnswer(answer, trust=caution[0] if without else "")
 
 
 def _one_unmixed(one: Result) -> str:
@@ -103,9 +101,9 @@ def _fit_in_short(one: Result) -> str:
     if (one.get("status") or "converged") not in FINE:
         return str(one["status"])
     chosen = one.get("choice") or {}
-    found = standing_of(chosen) or one.get("assemblage", "bands")
+    minerals = standing_of(chosen) or one.get("assemblage", "bands")
     shares = "shares of minerals determined" if _mineral_shares(one) else "shares not determined"
-    return f"{found}, {shares}"
+    return f"{minerals}, {shares}"
 
 
 def standing_of(choice: Mapping[str, Any]) -> str:
@@ -130,7 +128,7 @@ def _one_fit(one: Result) -> str:
     ratio = (one.get("nbsr") or {}).get("um2")
     strength = (
         f" Of the pyroxene bands at 2 µm, orthopyroxene makes {measured(ratio['opx'], ratio.get('sigma'))}."
-        if ratio and (ratio.get("sigma") or 0) < HALF
+        if ratio and (ratio.get("sigma") or 0) < UNIFORM
         else ""
     )
     return f"{one.get('id', 'the spectrum')}: {verdict}.{chosen}{strength}"
@@ -149,16 +147,16 @@ def against(fitted: Result, mixed: Result) -> str:
 
     `fitted` is of `spectra fit --assemblage auto`; of `mixed`, of `spectra unmix`, count shares that may be quoted.
     """
-    chosen, told = fitted.get("choice") or {}, []
+    chosen, lines = fitted.get("choice") or {}, []
     shares = mixed.get("abundance") or {}
     if shares.get("in_domain"):
         for mineral in chosen.get("sure", ()):
             if mineral in shares and (most := shares[mineral]["high95"]) < HARDLY:
-                told.append(f"of {mineral}, which the fit is sure of, the shares have {percent(most)} at most")
+                lines.append(f"of {mineral}, which the fit is sure of, the shares have {percent(most)} at most")
         for mineral in chosen.get("not_needed", ()):
             if mineral in shares and (least := shares[mineral]["low95"]) > CLEARLY:
-                told.append(f"of {mineral}, which the fit does without, the shares have {percent(least)} at least")
-    return f"{fitted['id']}: the fit and the shares contradict each other: {'; '.join(told)} (95 %)." if told else ""
+                lines.append(f"of {mineral}, which the fit does without, the shares have {percent(least)} at least")
+    return f"{fitted['id']}: the fit and the shares contradict each other: {'; '.join(lines)} (95 %)." if lines else ""
 
 
 def match(result: Result) -> ResultAnswer:
@@ -179,24 +177,24 @@ def _match_in_short(rock: Result) -> str:
 
 
 def indices(result: Result) -> ResultAnswer:
-    spectra, known = result.get("spectra", ()), result["indices"]
+    spectra, about_each = result.get("spectra", ()), result["indices"]
     if len(spectra) != 1:
-        count = len(known)
+        count = len(about_each)
         return ResultAnswer(f"{count} spectral indices of {counted(len(spectra), 'spectrum')}; the table has them.")
-    told = []
-    for key, about in known.items():
-        found = spectra[0].get(key) or {}
-        if found.get("status") == "ok" and found.get("value") is not None:
+    usable = []
+    for key, about in about_each.items():
+        index = spectra[0].get(key) or {}
+        if index.get("status") == "ok" and index.get("value") is not None:
             missed = about.get("soils_missed_by_median")
             off = f", off by {number(missed, 2)} in soils of known content" if missed else ""
             symbol = "" if about.get("unit") in (None, "-") else about["unit"]
-            told.append(
-                ((missed or 0) > 0, f"{about['title']} {measured(found['value'], found.get('sigma'), symbol)}{off}")
+            usable.append(
+                ((missed or 0) > 0, f"{about['title']} {measured(index['value'], index.get('sigma'), symbol)}{off}")
             )
-    told.sort(key=lambda one: not one[0])
-    first = "; ".join(text for _, text in told[:MOST_NAMED])
-    left = len(known) - len(told)
-    lost = f" {left} of {len(known)} could not be measured." if left else ""
+    usable.sort(key=lambda one: not one[0])
+    first = "; ".join(text for _, text in usable[:MOST_NAMED])
+    left = len(about_each) - len(usable)
+    lost = f" {left} of {len(about_each)} could not be measured." if left else ""
     return ResultAnswer(f"{spectra[0]['id']}: {first or 'no index could be measured'}.{lost}")
 
 
@@ -211,8 +209,8 @@ def simulated(result: Result) -> ResultAnswer:
 def library_checked(result: Result) -> ResultAnswer:
     members = result["end_members"]
     bad = [one["id"] for one in members if one["must_mend"]]
-    known = sum(bool(one["remarks"]) for one in members)
-    noted = f" Of {known} there is something to know, below." if known else ""
+    remarked = sum(bool(one["remarks"]) for one in members)
+    noted = f" Of {remarked} there is something to know, below." if remarked else ""
     if bad:
         return ResultAnswer(f"{len(bad)} of {counted(len(members), 'end member')} must be mended before use.{noted}")
     return ResultAnswer(f"{counted(len(members), 'end member')}, fit for use.{noted}")
@@ -232,26 +230,26 @@ def mapped(result: Result) -> ResultAnswer:
         for one in result["layers"]
         if one.get("kind") == "value" and one.get("median") is not None and not any(e in one["name"] for e in ERRORS)
     ]
-    told = []
+    lines = []
     layers.sort(key=lambda one: not one["name"].startswith("bc"))
     for one in layers[:MOST_LAYERS]:
         symbol = "" if one.get("units") in (None, "1", "-") else f" {one['units']}"
         span = f"{number(float(one['p05']), 3)} to {number(float(one['p95']), 3)}"
-        told.append(
+        lines.append(
             f"{one['long_name']}: {number(float(one['median']), 3)}{symbol} is the median, and nine of ten pixels have "
-            f"{span}{symbol}{_known(one['determined'])}"
+            f"{span}{symbol}{_where_determined(one['determined'])}"
         )
-    found = f" {sentence('; '.join(told))}" if told else " No pixel gave a value."
-    return ResultAnswer(f"Of {counted(counts['pixels'], 'pixel')} {usable} could be used.{found}")
+    text = f" {sentence('; '.join(lines))}" if lines else " No pixel gave a value."
+    return ResultAnswer(f"Of {counted(counts['pixels'], 'pixel')} {usable} could be used.{text}")
 
 
-def _known(share: float | None) -> str:
-    return "" if share is None or share > ALL else f", of the {percent(share)} that have one"
+def _where_determined(share: float | None) -> str:
+    return "" if share is None or percent(share) == percent(1.0) else f", of the {percent(share)} that have one"
 
 
 def pixel(result: Result) -> ResultAnswer:
-    known = [value for value in result["reflectance"] if value is not None]
+    channels = [value for value in result["reflectance"] if value is not None]
     flags = f" It is marked: {', '.join(result['flags'])}." if result.get("flags") else ""
     return ResultAnswer(
-        f"The spectrum of {result['id']}, {len(known)} of {counted(len(result['reflectance']), 'channel')}.{flags}"
+        f"The spectrum of {result['id']}, {len(channels)} of {counted(len(result['reflectance']), 'channel')}.{flags}"
     )

@@ -67,8 +67,8 @@ NAMES = {
 
 def unit(key: str) -> str:
     """The unit of a key, as it is printed; '' where it names none."""
-    found = unit_of(key)
-    return ASTROPY.get(found, found)
+    name = unit_of(key)
+    return ASTROPY.get(name, name)
 
 
 def words(key: str) -> str:
@@ -79,12 +79,12 @@ def words(key: str) -> str:
     """
     if key in NAMES:
         return NAMES[key]
-    bare, found = key, unit(key)
-    if found:
+    bare, symbol = key, unit(key)
+    if symbol:
         end = next((one for one in ENDS if key.endswith(one)), "")
         bare = key.removesuffix(end).rpartition("_")[0] + end
     plain = (bare or key).replace("_", " ").replace(".", ", ")
-    return f"{plain} [{found}]" if found and bare else plain
+    return f"{plain} [{symbol}]" if symbol and bare else plain
 
 
 def quantity(key: str) -> str:
@@ -174,16 +174,16 @@ def each(
     """A sentence for each; of more than a few how many have which `short` answer, or the sentences of the first."""
     if len(items) > MOST and short is not None:
         counts = Counter(short(item) for item in items)
-        told = "; ".join(f"{count}: {text}" for text, count in counts.most_common(MOST))
+        kinds = "; ".join(f"{count}: {text}" for text, count in counts.most_common(MOST))
         more = (
             f"; {sum(counts.values()) - sum(c for _, c in counts.most_common(MOST))}: others"
             if len(counts) > MOST
             else ""
         )
-        return f"Of {counted(len(items), thing)} {told}{more}."
-    told_one_by_one = [sentence(item) for item in items[:MOST]]
+        return f"Of {counted(len(items), thing)} {kinds}{more}."
+    one_by_one = [sentence(item) for item in items[:MOST]]
     rest = [f"{counted(len(items), thing)} in all, those after the first {MOST} below."] if len(items) > MOST else []
-    return " ".join([*told_one_by_one, *rest]) or f"No {thing}."
+    return " ".join([*one_by_one, *rest]) or f"No {thing}."
 
 
 def sentence(text: str) -> str:

@@ -48,13 +48,9 @@ if TYPE_CHECKING:
     from lunarsci.images.jobs.dem import StereoTerrain
 
 SOIL = "longji"
-AHEAD_M = (1.0, 0.0)
-"""Place whose height is looked up in the pictures; assumed. [m]"""
-BEHIND_M = 2.0
-"""How far behind the start of the drive the cameras stand: a mast sees no ground nearer than some 1.3 m. Assumed.
-[m]"""
-WIDTH_PX = 400
-"""Of the pictures: fewer than the Navcam's, to be done in seconds. Assumed. [px]"""
+AHEAD_M, BEHIND_M, WIDTH_PX = (1.0, 0.0), 2.0, 400
+"""Place whose height is looked up in the pictures, how far behind the start of the drive the cameras stand, as a mast
+sees no ground nearer than some 1.3 m, and the width of the pictures, to be done in seconds; assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,10 +77,10 @@ def _ground_ahead(seed: int) -> SeenGround | None:
     with TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "terrain.npz").write_bytes(terrain_bytes(synthetic_longji(read_soil(SOIL))))
-        (folder / "told.toml").write_text(rig_text(read_rig("yutu2-navcam").with_pixels(WIDTH_PX)))
+        (folder / "camera.toml").write_text(rig_text(read_rig("yutu2-navcam").with_pixels(WIDTH_PX)))
         pair = render(
             str(folder / "terrain.npz"),
-            rig=str(folder / "told.toml"),
+            rig=str(folder / "camera.toml"),
             x=-BEHIND_M,
             spacing=0.025,
             rocks=0.4,
@@ -98,14 +94,14 @@ def _ground_ahead(seed: int) -> SeenGround | None:
             folder / "left.png", folder / "right.png", rig=str(folder / "rig.toml"), pose=str(folder / "pose.toml")
         )
     model, points = heights.model, pair.pair.truth.points_m
-    known = np.isfinite(model.height_m)
+    covered = np.isfinite(model.height_m)
     away = np.hypot(*np.meshgrid(model.x_m - AHEAD_M[0], model.y_m - AHEAD_M[1]))
-    row, column = np.unravel_index(np.where(known, away, np.inf).argmin(), known.shape)
-    own = np.abs(points[..., :2] - [model.x_m[column], model.y_m[row]]).max(axis=-1) <= 0.5 * model.spacing_m
+    row, column = np.unravel_index(np.where(covered, away, np.inf).argmin(), covered.shape)
+    inside = np.abs(points[..., :2] - [model.x_m[column], model.y_m[row]]).max(axis=-1) <= 0.5 * model.spacing_m
     error = float(
         np.hypot(model.layer("height_m_sigma")[row, column], model.layer("height_m_common_sigma")[row, column])
     )
-    return SeenGround(made, heights, float(model.height_m[row, column]), error, float(points[own, 2].mean()))
+    return SeenGround(made, heights, float(model.height_m[row, column]), error, float(points[inside, 2].mean()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,11 +138,11 @@ def _rock_findings(the_rock: StudiedRock) -> list[dict[str, Any]]:
     at, item = int((SPLICED_NM == 750.0).argmax()), the_rock.calibration
     error = float(np.hypot(item.sigma[at], item.systematic_total[at]))
     name, truth = "rock: reflectance factor at 750 nm", float(the_rock.truth.reflectance[at])
-    found = [_finding(name, float(item.reflectance[at]), error, truth, "-", "calibration.png")]
+    findings = [_finding(name, float(item.reflectance[at]), error, truth, "-", "calibration.png")]
     for key in ("1000", "2000"):
         band = the_rock.bands.bands[key]
         if band.center_nm is not None:
-            found.append(
+            findings.append(
                 _finding(
                     f"rock: centre of the {key} nm band", band.center_nm, band.center_sigma_nm, None, "nm", "bands.png"
                 )
@@ -156,12 +152,12 @@ def _rock_findings(the_rock: StudiedRock) -> list[dict[str, Any]]:
         if ratio is not None:
             opx, cpx = _strengths(the_rock.truth, number)
             name = f"rock: OPX / (OPX + CPX) band strength at {number} µm"
-            found.append(_finding(name, ratio.opx, ratio.sigma, opx / (opx + cpx), "-", "fit.png"))
+            findings.append(_finding(name, ratio.opx, ratio.sigma, opx / (opx + cpx), "-", "fit.png"))
     for share in the_rock.shares.shares[0].fractions:
         name, error = f"rock: share of {share.mineral} by volume", (share.high - share.low) / 2
         truth = float(getattr(the_rock.truth.composition, share.mineral))
-        found.append(_finding(name, share.fraction, error, truth, "-", "shares.png"))
-    return found
+        findings.append(_finding(name, share.fraction, error, truth, "-", "shares.png"))
+    return findings
 
 
 def _strengths(truth: Truth, number: str) -> tuple[float, float]:
@@ -198,12 +194,12 @@ def _ground(driven: PredictedDrive, seed: int) -> Identification:
     """Identify the soil from the wheel states of the drive; cohesion and lateral modulus are taken as known."""
     wheel, truth = read_wheel("yutu2"), read_soil(SOIL)
     states = read_states(InputFile("wheel_states.csv", driven.states), wheel)
-    known = Assumptions(
+    given = Assumptions(
         exponent=truth.sinkage_exponent,
         cohesion_pa=truth.cohesion_pa,
         lateral_modulus_mm=(truth.lateral_modulus_mm,),
     )
-    return identify(states, wheel, known, draws=256, seed=seed)
+    return identify(states, wheel, given, draws=256, seed=seed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -304,12 +300,12 @@ def _ground_picture(seen: SeenGround) -> bytes:
 def _drive_findings(the_drive: PredictedDrive) -> list[dict[str, Any]]:
     limits = {limit.quantity: limit for limit in the_drive.verdict.limits}
     slip, end = limits["slip_ratio"], the_drive.verdict.endpoint
-    found = [_finding("drive: largest slip ratio, 95 % of drives below", slip.p95, None, None, "-", "drive.png")]
+    findings = [_finding("drive: largest slip ratio, 95 % of drives below", slip.p95, None, None, "-", "drive.png")]
     if end is not None:
-        found.append(
+        findings.append(
             _finding("drive: all ends within, of the destination", end.covering_radius_m, None, None, "m", "drive.png")
         )
-    return found
+    return findings
 
 
 def _soil_findings(soil: Identification, truth: Soil) -> list[dict[str, Any]]:

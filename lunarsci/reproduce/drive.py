@@ -91,42 +91,42 @@ def predicted_drives(rover: Rover | None = None, progress: Callable[[int, int], 
     rover : Yutu-2 by default.
     progress : called with pieces of ground done and in all.
     """
-    own, plan, grounds = rover or build_rover("yutu2"), read_plan(), _grounds()
+    driver, plan, grounds = rover or build_rover("yutu2"), read_plan(), _grounds()
     sweep = (
         Sweep("friction_angle_deg", *PHI_DEG, VALUES),
         Sweep("lateral_modulus_mm", *K_Y_MM, VALUES),
     )
-    found = {}
+    on = {}
     for number, (name, terrain) in enumerate(grounds.items(), 1):
-        found[name] = predict(own, terrain, plan, sweep=sweep, ruts=False)
+        on[name] = predict(driver, terrain, plan, sweep=sweep, ruts=False)
         if progress:
             progress(number, len(grounds))
-    if not found[STAND_IN].finished.any():
-        raise DataError(f"{own.name} does not finish the published plan: {found[STAND_IN].outcome_text(0)}")
-    return Drives(own, plan, found)
+    if not on[STAND_IN].finished.any():
+        raise DataError(f"{driver.name} does not finish the published plan: {on[STAND_IN].outcome_text(0)}")
+    return Drives(driver, plan, on)
 
 
 def medians(prediction: Prediction, quantity: str, parameter: str) -> dict[float, float]:
     """Median of |side slip| or of the slip ratio over samples, wheels and all else, for each value of a parameter."""
-    values, own = along(prediction, quantity), prediction.parameters[parameter]
+    values, varied = along(prediction, quantity), prediction.parameters[parameter]
     values = np.abs(values) if quantity == "side_slip_deg" else values
     return {
-        float(value): float(np.median(values[own == value][prediction.reached[own == value]]))
-        for value in np.unique(own)
+        float(value): float(np.median(values[varied == value][prediction.reached[varied == value]]))
+        for value in np.unique(varied)
     }
 
 
 def _example(drives: Drives, of: Callable[[Prediction], float], reason: str, *, ranged: bool = True) -> Answer:
     """The value on the stand-in, with the range over all grounds; not judged."""
     values = {name: of(prediction) for name, prediction in drives.on.items() if prediction.finished.any()}
-    told = ", ".join(f"{name} {value:.3g}" for name, value in values.items() if name != STAND_IN)
+    on_planes = ", ".join(f"{name} {value:.3g}" for name, value in values.items() if name != STAND_IN)
     return Answer(
         value=values[STAND_IN],
         determined=False,
         low=min(values.values()) if ranged else None,
         high=max(values.values()) if ranged else None,
         reading=ON_STAND_IN,
-        reason=f"{reason}; on planes: {told}" if ranged else reason,
+        reason=f"{reason}; on planes: {on_planes}" if ranged else reason,
     )
 
 
@@ -146,9 +146,9 @@ def _path(plan: Plan) -> dict[str, Callable[[], Answer]]:
         )
 
     length = math.fsum(leg.length_m for leg in plan.legs)
-    told = " + ".join(f"{leg.length_m:g}" for leg in plan.legs)
+    lengths = " + ".join(f"{leg.length_m:g}" for leg in plan.legs)
     return {
-        "path-length": lambda: Answer(value=length, reason=f"{told} m"),
+        "path-length": lambda: Answer(value=length, reason=f"{lengths} m"),
         "rock-distance": rock,
         "slope-most": lambda: Answer(value=None, reason=f"{DEM}; the stand-in is built to have this slope"),
         "slope-end": lambda: Answer(value=None, reason=f"{DEM}; the stand-in is built to have this slope"),
@@ -163,7 +163,7 @@ def _slip(drives: Drives) -> dict[str, Callable[[], Answer]]:
         skid = {phi: _skid_share(drives.stand_in, phi) for phi in PHI_DEG}
         return _example(
             drives,
-            lambda found: medians(found, "slip_ratio", "friction_angle_deg")[weak],
+            lambda prediction: medians(prediction, "slip_ratio", "friction_angle_deg")[weak],
             f"the slope along the path sets it, and {DEM}; -0.035 takes steady rolling down {slope:.1f} deg; on the "
             f"stand-in {100 * skid[weak]:.0f} % of the wheel states skid at {weak:g} deg, {100 * skid[strong]:.0f} % "
             f"at {strong:g} deg",
@@ -172,7 +172,7 @@ def _slip(drives: Drives) -> dict[str, Callable[[], Answer]]:
     def least() -> Answer:
         return _example(
             drives,
-            lambda found: float(along(found, "slip_ratio")[found.reached].min()),
+            lambda prediction: float(along(prediction, "slip_ratio")[prediction.reached].min()),
             f"the steepest ground sets it, and {DEM}",
         )
 
@@ -184,8 +184,8 @@ def _soil(phi_deg: float, **values: float) -> Soil:
 
 
 def _skid_share(prediction: Prediction, phi_deg: float) -> float:
-    own = prediction.parameters["friction_angle_deg"] == phi_deg
-    return float((along(prediction, "slip_ratio")[own][prediction.reached[own]] < 0).mean())
+    members = prediction.parameters["friction_angle_deg"] == phi_deg
+    return float((along(prediction, "slip_ratio")[members][prediction.reached[members]] < 0).mean())
 
 
 def _strong_soil(drives: Drives) -> Answer:
@@ -224,8 +224,8 @@ def _turn(rolling: Rolling) -> float:
 
 
 def _side_slip(drives: Drives) -> dict[str, Callable[[], Answer]]:
-    found = medians(drives.stand_in, "side_slip_deg", "lateral_modulus_mm")
-    ratio = found[K_Y_MM[1]] / found[K_Y_MM[0]]
+    by_modulus = medians(drives.stand_in, "side_slip_deg", "lateral_modulus_mm")
+    ratio = by_modulus[K_Y_MM[1]] / by_modulus[K_Y_MM[0]]
     published = published_value("side-slip-45mm") / published_value("side-slip-15mm")
 
     def at(modulus: float) -> Answer:
@@ -247,11 +247,11 @@ def _ends(drives: Drives) -> dict[str, Callable[[], Answer]]:
     unknown = "the path of the return, its ground and the soil identified for it are not published"
     return {
         "ends-within": lambda: _example(
-            drives, lambda found: float(found.miss_m[found.finished].max()), f"{DEM}, nor are the rover's dimensions"
+            drives, lambda one: float(one.miss_m[one.finished].max()), f"{DEM}, nor are the rover's dimensions"
         ),
         "arrival": lambda: _example(
             drives,
-            lambda found: float(found.miss_m[typical][0]),
+            lambda one: float(one.miss_m[typical][0]),
             f"measured on the Moon; the example is the prediction for phi = {TYPICAL_PHI_DEG:g} deg, "
             f"K_y = {TYPICAL_K_Y_MM:g} mm",
         ),
@@ -274,9 +274,6 @@ PUBLISHED = {
     K_Y: dict(zip(K_Y_MM, ("side-slip-15mm", "side-slip-45mm"), strict=True)),
 }
 COLUMNS = {"slip_ratio": 3, "side_slip_deg": 4}
-SHOWN_SLOPES = (0.0, 12.0)
-LIGHTEST = 0.88
-"""End of the colours of values, which would be too light on paper beyond."""
 
 
 def drive_pages(drives: Drives) -> "Iterator[Figure]":
@@ -285,22 +282,22 @@ def drive_pages(drives: Drives) -> "Iterator[Figure]":
     yield _slips(drives)
 
 
-def _fans(found: Prediction) -> "Figure":
+def _fans(prediction: Prediction) -> "Figure":
     figure = page(6.8)
     parts: Any = figure.subfigures(2, 1)
     fans = ((PHI, K_Y, TYPICAL_K_Y_MM, "ab"), (K_Y, PHI, TYPICAL_PHI_DEG, "cd"))
     for part, (parameter, other, held, letters) in zip(parts, fans, strict=True):
         whole, ends = part.subplots(1, 2, width_ratios=(1.62, 1.0))
-        members = np.flatnonzero(found.parameters[other] == held)
+        members = np.flatnonzero(prediction.parameters[other] == held)
         symbol, unit = SYMBOLS[other]
-        _draw_fan(whole, found, parameter, members, 0.1)
+        _draw_fan(whole, prediction, parameter, members, 0.1)
         whole.set_title(f"{letters[0]}  {SYMBOLS[parameter][0]} varied, {symbol} = {held:g}{unit}", loc="left")
-        _draw_fan(ends, found, parameter, members, 0.02)
-        _draw_ends(ends, found, parameter, members)
+        _draw_fan(ends, prediction, parameter, members, 0.02)
+        _draw_ends(ends, prediction, parameter, members)
         ends.set_title(f"{letters[1]}  its ends", loc="left")
         varied, per = SYMBOLS[parameter]
         bar = part.colorbar(
-            _scale(found.parameters[parameter]), ax=whole, orientation="horizontal", aspect=40, pad=0.03
+            _scale(prediction.parameters[parameter]), ax=whole, orientation="horizontal", aspect=40, pad=0.03
         )
         bar.set_label(f"{varied} [{per.strip()}]")
         legend_below(part, (whole, ends), 3)
@@ -317,40 +314,39 @@ def _scale(values: FloatArray) -> Any:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import ListedColormap, Normalize
 
-    colors = ListedColormap(colormaps["viridis"](np.linspace(0.0, LIGHTEST, 256)))
+    # Beyond 0.88 colours would be too light on paper.
+    colors = ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.88, 256)))
     return ScalarMappable(Normalize(float(values.min()), float(values.max())), colors)
 
 
 def _colors(values: FloatArray) -> Any:
-    from matplotlib import colormaps
-
-    return colormaps["viridis"](LIGHTEST * _scale(values).norm(values))
+    return _scale(values).to_rgba(values)
 
 
-def _draw_fan(axes: "Axes", found: Prediction, parameter: str, members: Any, contour_m: float) -> None:
-    draw_ground(axes, found.terrain, map_window(found, found.terrain, 2.2), contour_m)
-    draw_planned(axes, found)
-    values = found.parameters[parameter][members]
+def _draw_fan(axes: "Axes", prediction: Prediction, parameter: str, members: Any, contour_m: float) -> None:
+    draw_ground(axes, prediction.terrain, map_window(prediction, prediction.terrain, 2.2), contour_m)
+    draw_planned(axes, prediction)
+    values = prediction.parameters[parameter][members]
     for member, color in zip(members, _colors(values), strict=True):
-        part = found.paths[member, : max(int(found.recorded[member]), 1)]
+        part = prediction.paths[member, : max(int(prediction.recorded[member]), 1)]
         axes.plot(part[:, 0], part[:, 1], color=color, linewidth=1.2, zorder=6)
-    start, end = found.planned[0], found.planned[-1]
+    start, end = prediction.planned[0], prediction.planned[-1]
     axes.plot(start[0], start[1], "o", color="white", markeredgecolor=INK, markersize=5, zorder=8)
     axes.plot(end[0], end[1], "*", color=GOLD, markeredgecolor=INK, markersize=11, zorder=8)
 
 
-def _draw_ends(axes: "Axes", found: Prediction, parameter: str, members: Any) -> None:
+def _draw_ends(axes: "Axes", prediction: Prediction, parameter: str, members: Any) -> None:
     """Enlarged about the destination, with the published circle and that which holds every end of all soils."""
     from matplotlib.patches import Circle
 
-    target = found.planned[-1, :2]
-    values = found.parameters[parameter][members]
-    ends = found.endpoints_m[members]
+    target = prediction.planned[-1, :2]
+    values = prediction.parameters[parameter][members]
+    ends = prediction.endpoints_m[members]
     look: dict[str, Any] = {"edgecolors": INK, "linewidths": 0.6, "s": 20, "zorder": 9}
     axes.scatter(ends[:, 0], ends[:, 1], c=_colors(values), **look)
     circles = (
         (published_value("ends-within"), LIMIT, ":", "published: no end beyond"),
-        (float(found.miss_m[found.finished].max()), INK, "--", "ours, all soils: no end beyond"),
+        (float(prediction.miss_m[prediction.finished].max()), INK, "--", "ours, all soils: no end beyond"),
     )
     for radius, color, style, name in circles:
         text = f"{name} {radius:.3f} m"
@@ -372,19 +368,19 @@ def _slips(drives: Drives) -> "Figure":
     return figure
 
 
-def _boxes(axes: "Axes", found: Prediction, parameter: str, quantity: str, title: str) -> None:
+def _boxes(axes: "Axes", prediction: Prediction, parameter: str, quantity: str, title: str) -> None:
     """All wheel states for each value of a parameter, and the published medians at both ends."""
-    values = found.states[..., COLUMNS[quantity]]
+    values = prediction.states[..., COLUMNS[quantity]]
     values = np.abs(values) if quantity == "side_slip_deg" else values
-    own = found.parameters[parameter]
-    places = np.unique(own)
-    states = [values[own == place][found.reached[own == place]].ravel() for place in places]
+    varied = prediction.parameters[parameter]
+    places = np.unique(varied)
+    states = [values[varied == place][prediction.reached[varied == place]].ravel() for place in places]
     width = 0.6 * float(np.diff(places).min())
     axes.boxplot(
         states, positions=places, widths=width, whis=(5, 95), showfliers=False, patch_artist=True,
         boxprops={"facecolor": "#bcd7e0"}, medianprops={"color": INK, "linewidth": 1.8}, manage_ticks=False,
     )  # fmt: skip
-    axes.plot(*zip(*medians(found, quantity, parameter).items(), strict=True), color=INK, linewidth=1.0)
+    axes.plot(*zip(*medians(prediction, quantity, parameter).items(), strict=True), color=INK, linewidth=1.0)
     ends = PUBLISHED[parameter]
     published = [published_value(name) for name in ends.values()]
     axes.plot(list(ends), published, "D--", color=LIMIT, markersize=5, zorder=5, label="published medians")
@@ -403,20 +399,20 @@ def _rolling(axes: "Axes", drives: Drives) -> None:
     from lunarsci.regolith.soil import read_soil
 
     rolling, soil = Rolling.of(drives.rover), read_soil(SOIL)
-    slopes = np.linspace(*SHOWN_SLOPES, 25)
+    slopes = np.linspace(0.0, 12.0, 25)
     phis = np.array([PHI_DEG[0], TYPICAL_PHI_DEG, PHI_DEG[1]])
     for phi, color, dashes in zip(phis, _colors(phis), ("-", (0, (7, 2)), "-."), strict=True):
-        own = soil.replace(friction_angle_deg=float(phi))
-        slips = [rolling.slip_ratio(own, float(slope)) for slope in slopes]
+        weaker = soil.replace(friction_angle_deg=float(phi))
+        slips = [rolling.slip_ratio(weaker, float(slope)) for slope in slopes]
         axes.plot(slopes, slips, color=color, linestyle=dashes, label=f"steady rolling, φ = {phi:g}°")
     for phi, color, dashes in zip(PHI_DEG, (_colors(phis)[0], _colors(phis)[-1]), ("--", ":"), strict=True):
         value = published_value(PUBLISHED[PHI][phi])
         axes.axhline(value, color=color, linestyle=dashes, linewidth=1.2, label=f"published median, φ = {phi:g}°")
-    for name, found in drives.on.items():
+    for name, prediction in drives.on.items():
         if name != STAND_IN and "down" in name:
             slope = float(name.partition("°")[0])
             for phi, color in zip(PHI_DEG, (_colors(phis)[0], _colors(phis)[-1]), strict=True):
-                axes.plot(slope, medians(found, "slip_ratio", PHI)[phi], "o", color=color, markeredgecolor=INK)
+                axes.plot(slope, medians(prediction, "slip_ratio", PHI)[phi], "o", color=color, markeredgecolor=INK)
     axes.plot([], [], "o", color="white", markeredgecolor=INK, label="the rover on planes")
     steepest = published_value("slope-most")
     axes.axvline(steepest, color="0.5", linewidth=0.8, label=f"steepest, published: {steepest}°")

@@ -103,7 +103,7 @@ CURVES: Any = ({"color": "#0072B2"}, {"color": "#D55E00", "linestyle": "--"}, {"
 PROGRAMMES = {"Surveyor": "#0072B2", "Luna": "#D55E00", "Apollo": "#26323a"}
 MARKERS = "os^Dv<>Php*"
 SINKAGES_MM = (5.0, 8.0, 12.0, 15.0)
-OWN = ("Longji", "lunar soil, nominal")
+LONGJI = ("Longji", "lunar soil, nominal")
 """Rows of the tables of soils that are what is compared."""
 
 
@@ -178,16 +178,16 @@ def _bearing_panel(axes: "Axes", wheel: Wheel) -> Named:
 
 
 def _xy(points: Sequence[Mapping[str, Any]], x: str, y: str) -> tuple[list[float], list[float]]:
-    known = [point for point in points if point[y] is not None]
-    return [point[x] for point in known], [point[y] for point in known]
+    solved = [point for point in points if point[y] is not None]
+    return [point[x] for point in solved], [point[y] for point in solved]
 
 
 def _others(kind: str) -> list[ReferenceSoil]:
-    return [soil for soil in reference_soils() if soil.kind == kind and not _own(soil.name)]
+    return [soil for soil in reference_soils() if soil.kind == kind and not _is_longji(soil.name)]
 
 
-def _own(name: str) -> bool:
-    return any(own in name for own in OWN)
+def _is_longji(soil: str) -> bool:
+    return any(name in soil for name in LONGJI)
 
 
 def _short(name: str) -> str:
@@ -235,7 +235,7 @@ def _missions(axes: "Axes") -> None:
     for number, soil in enumerate(_others("lunar")):
         x, y = np.mean(soil.cohesion_pa), np.mean(soil.friction_angle_deg)
         error = (np.ptp(soil.cohesion_pa) / 2, np.ptp(soil.friction_angle_deg) / 2)
-        color = next((own for name, own in PROGRAMMES.items() if soil.name.startswith(name)), GREY)
+        color = next((shade for name, shade in PROGRAMMES.items() if soil.name.startswith(name)), GREY)
         axes.errorbar(
             x, y, xerr=error[0], yerr=error[1], fmt=MARKERS[number % len(MARKERS)], color=color, markersize=5,
             markerfacecolor="white" if number // len(MARKERS) % 2 else color, capsize=1.5, linewidth=0.8,
@@ -256,7 +256,7 @@ def _lateral_panel(axes: "Axes", wheel: Wheel) -> None:
     assumed: dict[str, Any] = {"color": TYPICAL_COLOR, "linestyle": "-.", "linewidth": 1.1, "zorder": 2}
     axes.axvline(moduli[0], **assumed)
     axes.axvline(moduli[1], label=f"K$_y$ = {moduli[0]:g} and {moduli[1]:g} mm, assumed", **assumed)
-    for marker, row in zip("^v<>", (row for row in lateral_soils() if not _own(row["name"])), strict=False):
+    for marker, row in zip("^v<>", (row for row in lateral_soils() if not _is_longji(row["name"])), strict=False):
         point = float(row["lateral_modulus_mm"]), float(row["external_friction_angle_deg"])
         axes.plot(*point, marker, color="black", linestyle="", markersize=6, label=row["name"])
     axes.set(xlim=(5, 60), ylim=(0, 45))
@@ -284,8 +284,8 @@ def _histograms(wheel: Wheel) -> "Figure":
     panels = figure.subplots(1, 3)
     for axes, item, letter in zip(panels, histograms(wheel), "abc", strict=True):
         mean, sd = published_value(item.mean_id), published_value(item.sd_id)
-        own = f"ours: {item.draws.mean():.4g} ± {item.draws.std(ddof=1):.2g}, {item.draws.size} draws"
-        _, edges, _ = axes.hist(item.draws, bins=32, density=True, color="#bcd7e0", edgecolor="white", label=own)
+        label = f"ours: {item.draws.mean():.4g} ± {item.draws.std(ddof=1):.2g}, {item.draws.size} draws"
+        _, edges, _ = axes.hist(item.draws, bins=32, density=True, color="#bcd7e0", edgecolor="white", label=label)
         x = np.linspace(min(edges[0], mean - 4 * sd), max(edges[-1], mean + 4 * sd), 400)
         law = np.exp(-0.5 * ((x - mean) / sd) ** 2) / (sd * np.sqrt(2 * np.pi))
         axes.plot(x, law, color=DOT, linestyle="--", label=f"published: {mean:g} ± {sd:g}, normal")

@@ -86,20 +86,20 @@ def reproduce(
     asked = request_of(ReproduceRequest, request, options)
     update = progress or (lambda done, total: None)
     description = read_rover(asked.rover or ROVER)
-    found = Reproduction(description, asked.parts, tables=published_hash())
+    made = Reproduction(description, asked.parts, tables=published_hash())
     if asked.parts != ("spectra",):
-        found.tables[f"{asked.rover or ROVER} (rover)"] = sha256(description.text.encode())
+        made.tables[f"{asked.rover or ROVER} (rover)"] = sha256(description.text.encode())
     make: dict[str, Callable[[Reproduction, Progress], Reproduction]] = {
-        "spectra": lambda found, update: _with_spectra(found, asked.rocks, update),
-        "soil": lambda found, _: _with_soil(found),
+        "spectra": lambda made, update: _with_spectra(made, asked.rocks, update),
+        "soil": lambda made, _: _with_soil(made),
         "drive": _with_drive,
     }
     total, before = sum(WORK[name] for name in asked.parts), 0
     for name in asked.parts:
-        found = make[name](found, _within(update, before, WORK[name], total))
+        made = make[name](made, _within(update, before, WORK[name], total))
         before += WORK[name]
         update(100 * before, 100 * total)
-    return found
+    return made
 
 
 def _within(update: Progress, before: int, share: int, total: int) -> Progress:
@@ -107,7 +107,7 @@ def _within(update: Progress, before: int, share: int, total: int) -> Progress:
     return lambda done, of: update(round(100 * (before + share * done / max(of, 1))), 100 * total)
 
 
-def _with_spectra(found: Reproduction, rocks: Sequence[str], update: Progress) -> Reproduction:
+def _with_spectra(made: Reproduction, rocks: Sequence[str], update: Progress) -> Reproduction:
     from lunarsci.io.tables import table_hashes
     from lunarsci.reproduce.spectra import TABLES, boulders, fit_rocks, spectra_numbers
     from lunarsci.spectra.readers.dispatch import read_spectra
@@ -116,29 +116,29 @@ def _with_spectra(found: Reproduction, rocks: Sequence[str], update: Progress) -
     spectra = [spectrum for source in sources for spectrum in read_spectra(source)]
     fitted = fit_rocks(boulders(spectra), update) if sources else None
     return replace(
-        found,
+        made,
         rocks=fitted,
-        inputs=found.inputs | {source.name: source.sha256 for source in sources},
-        tables=found.tables | table_hashes(*TABLES),
-        numbers=found.numbers + spectra_numbers(fitted),
+        inputs=made.inputs | {source.name: source.sha256 for source in sources},
+        tables=made.tables | table_hashes(*TABLES),
+        numbers=made.numbers + spectra_numbers(fitted),
     )
 
 
-def _with_soil(found: Reproduction) -> Reproduction:
+def _with_soil(made: Reproduction) -> Reproduction:
     from lunarsci.regolith.compare import reference_hash
     from lunarsci.regolith.prior import prior_hash
     from lunarsci.regolith.wheel import read_wheel
     from lunarsci.reproduce.soil import soil_numbers
 
-    numbers = found.numbers + soil_numbers(read_wheel(found.description))
-    return replace(found, tables=found.tables | reference_hash() | prior_hash(), numbers=numbers)
+    numbers = made.numbers + soil_numbers(read_wheel(made.description))
+    return replace(made, tables=made.tables | reference_hash() | prior_hash(), numbers=numbers)
 
 
-def _with_drive(found: Reproduction, update: Progress) -> Reproduction:
+def _with_drive(made: Reproduction, update: Progress) -> Reproduction:
     from lunarsci.regolith.soil import soil_hash
     from lunarsci.reproduce.drive import SOIL, drive_numbers, predicted_drives
     from lunarsci.twin.rover import build_rover
 
-    drives = predicted_drives(build_rover(found.description), update)
-    tables, numbers = found.tables | soil_hash(SOIL)[1], found.numbers + drive_numbers(drives)
-    return replace(found, drives=drives, tables=tables, numbers=numbers)
+    drives = predicted_drives(build_rover(made.description), update)
+    tables, numbers = made.tables | soil_hash(SOIL)[1], made.numbers + drive_numbers(drives)
+    return replace(made, drives=drives, tables=tables, numbers=numbers)

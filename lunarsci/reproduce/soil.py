@@ -127,7 +127,7 @@ def stand_in_forces(wheel: Wheel) -> WheelForces:
 def identified(
     wheel: Wheel,
     sinkage_m: float,
-    known: Assumptions | None = None,
+    assumptions: Assumptions | None = None,
     *,
     errors: MeasurementErrors = EXACT,
     shear: bool = False,
@@ -139,16 +139,16 @@ def identified(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LunarSciWarning)
         reading = "slip-branch" if shear else "signed"
-        return identify(WheelStates(("mean",), values, sigmas), wheel, known, reading=reading, draws=DRAWS)  # type: ignore[arg-type]
+        return identify(WheelStates(("mean",), values, sigmas), wheel, assumptions, reading=reading, draws=DRAWS)  # type: ignore[arg-type]
 
 
-def _value(found: Identification, name: str) -> float:
-    value = found.site[name].value
+def _value(identification: Identification, name: str) -> float:
+    value = identification.site[name].value
     return float("nan") if value is None else value
 
 
-def _sd(found: Identification, name: str) -> float:
-    sigma = found.site[name].sigma
+def _sd(identification: Identification, name: str) -> float:
+    sigma = identification.site[name].sigma
     return float("nan") if sigma is None else sigma
 
 
@@ -192,8 +192,8 @@ def _bearing(wheel: Wheel) -> dict[str, Callable[[], Answer]]:
 
 def _typical_sinkage(wheel: Wheel) -> Answer:
     load = float(stand_in_forces(wheel).normal_force_n)
-    found = sinkage_under_load(wheel, published_soil(TYPICAL), load, SLIP, reading="slip-branch")
-    return Answer(value=1e3 * found, reason=f"under the same {load:.1f} N; shear at c = 520 Pa, phi = 21.5 deg")
+    sinkage_m = sinkage_under_load(wheel, published_soil(TYPICAL), load, SLIP, reading="slip-branch")
+    return Answer(value=1e3 * sinkage_m, reason=f"under the same {load:.1f} N; shear at c = 520 Pa, phi = 21.5 deg")
 
 
 def _capacity(wheel: Wheel) -> Answer:
@@ -222,26 +222,26 @@ def _nearest_terrestrial(wheel: Wheel) -> Answer:
             if item.soil.kind == "terrestrial" and item.bearing is not None:
                 best[item.soil.name] = min(item.bearing, best.get(item.soil.name, np.inf))
     order = sorted(best, key=lambda name: best[name])
-    own = next(name for name in order if "Michigan" in name)
+    named = next(name for name in order if "Michigan" in name)
     return Answer(
-        value=float(order.index(own) + 1),
-        reason=f"rms ln ratio of pressures to the nearest of the three dots {best[own]:.2f}; next is {order[1]} with "
+        value=float(order.index(named) + 1),
+        reason=f"rms ln ratio of pressures to the nearest of the three dots {best[named]:.2f}; next is {order[1]} with "
         f"{best[order[1]]:.2f}; of {SOILS} soils drawn from the lunar priors it is the nearest to "
-        f"{100 * _share_of_soils(own, 'bearing', wheel):.0f} %",
+        f"{100 * _share_of_soils(named, 'bearing', wheel):.0f} %",
     )
 
 
 def _shear(wheel: Wheel) -> dict[str, Callable[[], Answer]]:
     def angle() -> Answer:
-        found = identified(wheel, MEAN_SINKAGE_M, shear=True)
-        own = float(stand_in_forces(wheel).drawbar_pull_n)
+        solved = identified(wheel, MEAN_SINKAGE_M, shear=True)
+        needed_n = float(stand_in_forces(wheel).drawbar_pull_n)
         physical = closed_form_forces(wheel, published_soil(), MEAN_SINKAGE_M, SLIP)
         pull = float(physical.drawbar_pull_n)
         slope = math.degrees(math.atan2(-pull, float(physical.normal_force_n)))
         return Answer(
-            value=_value(found, "friction_angle_deg"),
+            value=_value(solved, "friction_angle_deg"),
             set_by_itself=True,
-            reading=f"{SLIP_BRANCH}; F_DP = {own:.2f} N, which only this number sets",
+            reading=f"{SLIP_BRANCH}; F_DP = {needed_n:.2f} N, which only this number sets",
             reason=f"with the physical sign it would take {pull:.1f} N, a mean slope of {slope:.0f} deg, where the "
             "steepest was 8.9 deg",
         )
@@ -256,8 +256,8 @@ def _shear(wheel: Wheel) -> dict[str, Callable[[], Answer]]:
 
 def _angle_spread(wheel: Wheel) -> Answer:
     def spread(of: Wheel) -> float:
-        found = identified(of, MEAN_SINKAGE_M, errors=MeasurementErrors(sinkage_m=0.0), shear=True)
-        return _sd(found, "friction_angle_deg")
+        solved = identified(of, MEAN_SINKAGE_M, errors=MeasurementErrors(sinkage_m=0.0), shear=True)
+        return _sd(solved, "friction_angle_deg")
 
     short = replace(wheel, grouser_height_m=SHORT_LUG_M)
     stiffness = _value(identified(short, 0.015), "stiffness_kpa_m_n")
@@ -289,10 +289,10 @@ def _nearest_mission(wheel: Wheel) -> Answer:
                 if item.soil.kind == "lunar" and "Longji" not in item.soil.name and item.strength is not None:
                     worst[item.soil.name] = max(item.strength, worst.get(item.soil.name, 0.0))
     order = sorted(worst, key=lambda name: worst[name])
-    own = next(name for name in order if "Apollo 12, direct shear" in name)
-    share = _share_of_soils(own, "strength", wheel)
+    named = next(name for name in order if "Apollo 12, direct shear" in name)
+    share = _share_of_soils(named, "strength", wheel)
     return Answer(
-        value=float(order.index(own) + 1),
+        value=float(order.index(named) + 1),
         determined=share < NO_EVIDENCE,
         reason=f"of {SOILS} soils drawn from the lunar priors none is nearer to {100 * share:.0f} %, whatever they "
         f"are: its ranges (0.1-3.1 kPa, 13-56 deg) are the widest of all; next here is {order[1]} at "
@@ -312,10 +312,10 @@ def _share_of_soils(name: str, aspect: str, wheel: Wheel) -> float:
     hits = 0
     for values in zip(*(drawn[each] for each in names), strict=True):
         site = Site(**dict(zip(names, map(float, values), strict=True)))
-        found = {
+        distances = {
             item.soil.name: getattr(item, aspect) for item in nearest(compare_site(site, wheel.width_m, soils), aspect)
         }
-        hits += found[name] <= min(found.values())
+        hits += distances[name] <= min(distances.values())
     return hits / SOILS
 
 
@@ -343,6 +343,6 @@ def soil_numbers(wheel: Wheel | None = None) -> list[Number]:
     ----------
     wheel : Yutu-2's by default; its lug height is not published and moves some of the answers.
     """
-    own = wheel or read_wheel("yutu2")
-    answers = _bearing(own) | _shear(own) | _lateral(own)
+    of = wheel or read_wheel("yutu2")
+    answers = _bearing(of) | _shear(of) | _lateral(of)
     return [judge(row, answers[row["id"]]()) for row in published_numbers("soil")]

@@ -76,9 +76,9 @@ def fit_rocks(spectra: Sequence[Spectrum], progress: Callable[[int, int], None] 
         if progress:
             progress(done, total // len(SPREAD_CONTINUA) * rounds)
 
-    found = fit_continua(spectra, lambda name: mgm_model(continuum=name), progress=report)
+    by_rock = fit_continua(spectra, lambda name: mgm_model(continuum=name), progress=report)
     smoothed = fit_spectra([_smoothed(spectrum) for spectrum in spectra], mgm_model())
-    by_name = {name: _good([fits[name] for fits in found]) for name in SPREAD_CONTINUA}
+    by_name = {name: _good([fits[name] for fits in by_rock]) for name in SPREAD_CONTINUA}
     if not (by_name[DEFAULT_CONTINUUM] and _good(smoothed)):
         raise DataError(f"none of the {len(spectra)} spectra of boulders can be fitted; see lunarsci spectra fit")
     return Rocks(
@@ -130,9 +130,9 @@ MINERALS = "laboratory spectra of lunarsci, centres under the upper hull"
 def _centres(mineral: str, least_wo: float = 0.0) -> FloatArray:
     """Centres of both bands of the embedded end members of a mineral, NaN where there is none. (n, 2) [nm]"""
     wavelength = np.arange(450.0, 2451.0, 5.0)
-    own = [m for m in embedded_end_members(wavelength) if m.mineral == mineral and (m.wo or 0.0) >= least_wo]
-    found = [measure_bands(Spectrum(m.id, wavelength, m.reflectance), continuum_name="hull") for m in own]
-    rows = [[item.bands[key].center_nm for key in ("1000", "2000")] for item in found]
+    members = [m for m in embedded_end_members(wavelength) if m.mineral == mineral and (m.wo or 0.0) >= least_wo]
+    measured = [measure_bands(Spectrum(m.id, wavelength, m.reflectance), continuum_name="hull") for m in members]
+    rows = [[item.bands[key].center_nm for key in ("1000", "2000")] for item in measured]
     return np.array(rows, dtype=float)
 
 
@@ -148,9 +148,9 @@ def high_calcium() -> FloatArray:
 
 def _minerals() -> dict[str, Callable[[], Answer]]:
     def centre(values: FloatArray, name: str, more: str = "") -> Answer:
-        known = values[np.isfinite(values)]
-        low, middle, high = (float(value) for value in np.percentile(known, (2.5, 50, 97.5)))
-        return Answer(value=middle, low=low, high=high, reason=f"median of {known.size} {name}, {MINERALS}{more}")
+        finite = values[np.isfinite(values)]
+        low, middle, high = (float(value) for value in np.percentile(finite, (2.5, 50, 97.5)))
+        return Answer(value=middle, low=low, high=high, reason=f"median of {finite.size} {name}, {MINERALS}{more}")
 
     poor, rich = low_calcium(), high_calcium()
     names = "orthopyroxenes", f"clinopyroxenes with Wo {100 * LEAST_WO:.0f} and more"
@@ -188,9 +188,9 @@ def _source() -> Answer:
     def matched(prior: PriorSettings) -> RockMatch:
         return match_rocks([_published_rock()], embedded_catalogue(), CHANG_E_4, MatchSettings(prior=prior))[0]
 
-    own, undisturbed = matched(PriorSettings()), matched(PriorSettings(re_excavation=False))
-    ranks = [_rank(own), _rank(undisturbed)]
-    told = {item.crater.name: item.posterior for item in own.craters}
+    default, undisturbed = matched(PriorSettings()), matched(PriorSettings(re_excavation=False))
+    ranks = [_rank(default), _rank(undisturbed)]
+    posterior = {item.crater.name: item.posterior for item in default.craters}
     return Answer(
         value=float(ranks[0]),
         determined=False,
@@ -198,8 +198,8 @@ def _source() -> Answer:
         high=float(max(ranks)),
         reading="buried ejecta are dug up again",
         reason="the modes of Zhinyu's ejecta are in the supplement, and composition hardly decides (ln Bayes factors "
-        f"within {_spread(own):.1f}); posterior Zhinyu {told['Zhinyu']:.2f}, Finsen {told['Finsen']:.2f}; if nothing "
-        f"buried came up again, Zhinyu {_posterior(undisturbed):.2f}",
+        f"within {_spread(default):.1f}); posterior Zhinyu {posterior['Zhinyu']:.2f}, Finsen "
+        f"{posterior['Finsen']:.2f}; if nothing buried came up again, Zhinyu {_posterior(undisturbed):.2f}",
     )
 
 
@@ -259,20 +259,20 @@ def _count(rocks: Rocks) -> str:
 
 def _share(rocks: Rocks) -> Answer:
     values = {name: _opx(fits) for name, fits in rocks.over_continua.items()}
-    known = [value for value in values.values() if value is not None]
-    own = _opx(rocks.fits)
-    if own is None:
+    shares = [value for value in values.values() if value is not None]
+    share = _opx(rocks.fits)
+    if share is None:
         return Answer(value=None, reason="the 2 µm bands of no boulder tell its pyroxenes apart")
     published = published_value("opx-share")
-    inside = "within" if min(known) <= published <= max(known) else "outside of"
+    inside = "within" if min(shares) <= published <= max(shares) else "outside of"
     smoothed = _opx(rocks.smoothed)
     return Answer(
-        value=own,
-        low=min(known),
-        high=max(known),
+        value=share,
+        low=min(shares),
+        high=max(shares),
         determined=len(rocks.fits) >= LEAST_ROCKS,
         reading=f"mean NBSR at 2 µm of {_count(rocks)}, not of the six of the paper",
-        reason=f"range over {len(known)} continua; the published value lies {inside} it; which continuum and "
+        reason=f"range over {len(shares)} continua; the published value lies {inside} it; which continuum and "
         f"boulders it rests on is not published" + (f"; smoothed spectra give {smoothed:.0f}" if smoothed else ""),
     )
 
@@ -330,8 +330,8 @@ def _plane(rocks: Rocks | None) -> "Figure":
     figure = next(iter(plane_pages(rocks.bands if rocks else ())))
     axes = figure.axes[0]
     for name, key, centres, color, marker, star in PYROXENE_MARKS:
-        found = centres()
-        axes.plot(*found.T, marker, color=color, alpha=0.45, markersize=4, zorder=0.5, label=f"laboratory: {name}")
+        plane = centres()
+        axes.plot(*plane.T, marker, color=color, alpha=0.45, markersize=4, zorder=0.5, label=f"laboratory: {name}")
         about = published_value(f"{key}-1um"), published_value(f"{key}-2um")
         size = 15 if marker == "o" else 11
         label = f"published: about, {name}"
@@ -340,8 +340,8 @@ def _plane(rocks: Rocks | None) -> "Figure":
         axes.plot([], [], "o", color="black", markersize=4, label="boulders that were given")
     axes.set_xlim(885.0, np.nextafter(1110.0, 0))
     axes.legend(loc="upper left")
-    told = (
+    given = (
         f"boulders' spectra given: {len(rocks.bands)}" if rocks else "no boulders: give their spectra with --boulders"
     )
-    axes.set_title(f"Band centres after Fig. 5b of Ding et al. (2024); {told}")
+    axes.set_title(f"Band centres after Fig. 5b of Ding et al. (2024); {given}")
     return figure

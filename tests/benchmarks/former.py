@@ -25,10 +25,8 @@ from typing import Any
 
 import pytest
 from lunarsci.cli import main
-from lunarsci.cli.shared.emit import emit
-from lunarsci.cli.shared.printing import render
-from lunarsci.cli.shared.report import Report
-from lunarsci.cli.shared.table import TextTable
+from lunarsci.cli.shared.emit import Report, emit
+from lunarsci.cli.shared.table import TextTable, render
 from pictured import MISSION, PLAN
 from rich.cells import cell_len
 
@@ -211,7 +209,7 @@ def kept_tables(name: str) -> Iterator[None]:
     """What a command hands over to be shown is kept on its way."""
 
     def keep(report: Report, *more: Any) -> int:
-        TABLES[name] = list(report.tables() if callable(report.tables) else report.tables)
+        TABLES[name] = list(report.shown)
         return emit(report, *more)
 
     with pytest.MonkeyPatch.context() as patch:

@@ -11,15 +11,17 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
-from lunarsci.cli.shared.emit import field_of
-from lunarsci.cli.shared.report import Report
+from lunarsci.cli.shared.emit import Report, field_of
 from typer import BadParameter
 
+from lunarsci.errors import Failure
 from lunarsci.parallel.blocks import SavedBlocks
+from lunarsci.result import Result
 
 Run = Callable[..., "object"]
 NUMBERS = re.compile(r"(?<![\w\"])-?\d[\d.e+-]*")
@@ -468,9 +470,39 @@ def test_a_field_that_other_spectra_have_is_missing_here(run: Run, rock: Path) -
         assert (wrong.code, wrong.out) == (2, "")
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Listed(Result):
+    record: dict[str, Any]
+
+    def content(self) -> dict[str, Any]:
+        return self.record
+
+    def rows(self) -> list[dict[str, Any]]:
+        return []
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Doubtful(Listed):
+    @property
+    def untrusted(self) -> str:
+        return "give `rover`"
+
+    @property
+    def failures(self) -> list[Failure]:
+        return [Failure.of("a.csv", "lacks `rover`")]
+
+
+def test_a_report_words_all_its_reasons() -> None:
+    record = {"read_as": ["as of `rover`"]}
+    report = Report(Doubtful(record=record), (), worded=lambda text: text.replace("`rover`", "--rover"))
+    assert report.untrusted == "give --rover"
+    assert [*map(str, report.failures)] == ["a.csv: lacks --rover"]
+    assert report.content == {"read_as": ["as of --rover"]} and record["read_as"] == ["as of `rover`"]
+
+
 def test_names_of_other_things_of_a_list_could_be_here() -> None:
     result = {"rocks": [{"inner": {"a": 1}}, {"inner": {"b": 2}}], "a": None}
-    report = Report(schema="x/1", result=result, tables=())
+    report = Report(Listed(record=result), ())
     assert field_of(report, "rocks.0.inner.a", {}) == ("1\n", "")
     text, doubt = field_of(report, "rocks.0.inner.b", {})
     assert text == "null\n"

@@ -9,9 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from lunarsci.cli.shared.layout import fitted
-from lunarsci.cli.shared.printing import render, to_markdown, to_tex, to_tsv
-from lunarsci.cli.shared.table import UNKNOWN, TextTable, plus_minus
+from lunarsci.cli.shared.table import UNKNOWN, TextTable, fitted, plus_minus, render, to_markdown, to_tex, to_tsv
 
 Run = Callable[..., "object"]
 CELLS = st.text(st.characters(codec="utf-8", categories=("L", "N", "P", "Zs"), max_codepoint=0x2FF), max_size=90)

@@ -13,7 +13,7 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.compiled import compiled, each_in_threads
-from lunarsci.result import PRIORS_OWN, doubt_about, from_prior
+from lunarsci.result import AS_PRIOR, doubt_about, from_prior
 from lunarsci.spectra.mgm import TREND_SIGMA
 from lunarsci.spectra.mgm.assemblages import PYROXENES, Assemblage
 from lunarsci.spectra.mgm.data import MgmData, MgmRows
@@ -521,7 +521,7 @@ class MineralComposition:
     @property
     def doubt(self) -> str:
         """Why it should not be used, or that it is the prior's; '' where it may be."""
-        return doubt_about(asdict(self)) or ("" if self.determined else PRIORS_OWN)
+        return doubt_about(asdict(self)) or ("" if self.determined else AS_PRIOR)
 
 
 def compositions_of(batch: FitBatch) -> FloatArray:

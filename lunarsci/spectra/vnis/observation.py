@@ -25,7 +25,6 @@ import numpy.typing as npt
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.io import inputs
-from lunarsci.io.documents import LABEL_BYTES
 from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.spectra.rows import NamedTable, Row, split_lines
 from lunarsci.spectra.vnis.channels import CUBE_SHAPE, SWIR_NM, VNIR_NM, equal_frames, repeated_rows
@@ -211,6 +210,8 @@ _APART = timedelta(hours=24)
 """The two scans follow each other within minutes; assumed wide."""
 _SUN_DEG_PER_HOUR = 360.0 / (29.530589 * 24)
 """By the mean synodic month, 29.530589 days: Chapront et al. (2002), 10.1051/0004-6361:20020420. [deg/h]"""
+LABEL_BYTES = 2_000_000
+"""A label is smaller; assumed."""
 _TABLE_BYTES = 1_000_000
 _AWAY_DEG = 0.001
 """30 m on the Moon; assumed."""

@@ -185,7 +185,7 @@ REFUSED: dict[str, tuple[Callable[[Files], None], str]] = {
     "label with an entity bomb": (prefix("SD", BOMB), "document type declaration"),
     "label with an external document": (prefix("VD", EXTERNAL), "document type declaration, which a label never has"),
     "label with an unknown entity": (in_label("SD", r"<title>[^<]*", "<title>&secret;"), r"undefined entity"),
-    "label too deep": (in_label("SD", "<Reference_List>", "<a>" * 80 + "<Reference_List>"), "more than 64 deep"),
+    "label too deep": (in_label("SD", "<Reference_List>", "<a>" * 300 + "<Reference_List>"), "more than 256 deep"),
     "label too large": (prefix("SD", b"<!--" + b"x" * 2_100_000 + b"-->"), "at most 2000000 are expected"),
     "label names a file elsewhere": (
         in_label("SD", r"<file_name>[^<]*", "<file_name>../../etc/passwd"),

@@ -15,7 +15,7 @@ from lunarsci.errors import DataError
 from lunarsci.io.inputs import InputFile, open_input
 from lunarsci.io.tables import csv_bytes, csv_tables, nine_digits, read_csv_table, table_hashes, table_rows
 
-FOLDER = Path(__file__).parents[1] / "spectra_data"
+FOLDER = Path(__file__).parents[2] / "spectra_data"
 NAMES = sorted(path.name for path in FOLDER.glob("*.csv"))
 
 
