@@ -7,9 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lunarsci.regolith.identify import LABELS, UNITS, Estimate, Identification, Sensitivity
-from lunarsci.regolith.jobs.identify import IdentifiedSoil
-from lunarsci.regolith.jobs.identify import identify as identify_soil
 from lunarsci.regolith.jobs.requests import IdentifyRequest
 
 from ..shared.command import command
@@ -17,6 +14,10 @@ from ..shared.emit import Report
 from ..shared.options import Output, option
 from ..shared.table import UNKNOWN, TextTable, plus_minus
 from ..shared.talk import progress
+
+if TYPE_CHECKING:
+    from lunarsci.regolith.identify import Estimate, Identification, Sensitivity
+    from lunarsci.regolith.jobs.identify import IdentifiedSoil
 
 if TYPE_CHECKING:
     from lunarsci.regolith.identify import Estimate, Identification, Sensitivity
@@ -89,6 +90,8 @@ def identify(states: States, request: IdentifyRequest, output: Output) -> Report
     each is solved at the other's value. `regolith infer` takes all states together.
     """
 
+    from lunarsci.regolith.jobs.identify import identify as identify_soil
+
     with progress("identifying", quiet=output.quiet) as update:
         soil = identify_soil(states, request, progress=update)
     return Report(soil, result_tables(soil))
@@ -142,7 +145,7 @@ def _share(value: float | None) -> str:
 
 def _observation_tables(made: Identification, title: str) -> list[TextTable]:
 
-    from lunarsci.regolith.identify import Estimate
+    from lunarsci.regolith.identify import UNITS, Estimate
 
     if len(made.observations) > MANY_STATES:
         return []
@@ -153,6 +156,8 @@ def _observation_tables(made: Identification, title: str) -> list[TextTable]:
 
 
 def _site_table(result: IdentifiedSoil, title: str, *notes: str) -> TextTable:
+
+    from lunarsci.regolith.identify import LABELS
 
     made = result.found
     several = len(made.corners) > 1
@@ -177,6 +182,8 @@ def _site_title(result: IdentifiedSoil) -> str:
 
 
 def _site_row(label: str, estimate: Estimate, name: str) -> list[str]:
+
+    from lunarsci.regolith.identify import UNITS
 
     interval = "-" if estimate.low is None else f"{_digits(estimate.low, name)} to {_digits(estimate.high, name)}"
     remark = "assumed" if estimate.assumed else estimate.reason

@@ -17,18 +17,7 @@ from lunarsci.printable import printable
 from lunarsci.provenance import Provenance, document, json_chunks, plain
 
 from .options import Output
-from .table import (
-    FORMATS,
-    MOST_VERDICTS,
-    SAYS,
-    TextTable,
-    chosen,
-    chosen_csv,
-    names_of,
-    render,
-    terminal_width,
-    to_csv,
-)
+from .table import FORMATS, MOST_VERDICTS, SAYS, TextTable, chosen, chosen_csv, names_of, render, terminal_width, to_csv
 from .talk import FAILED, UNTRUSTED, say
 
 if TYPE_CHECKING:

@@ -10,9 +10,6 @@ import typer
 
 from lunarsci.spectra.jobs.requests import FitRequest
 from lunarsci.spectra.mgm import PERCENT_OF, with_trend
-from lunarsci.spectra.mgm.assemblages import SURE
-from lunarsci.spectra.mgm.batch import compositions
-from lunarsci.spectra.mgm.result import FittedBand, MgmFit
 
 from ..shared.command import command
 from ..shared.emit import Report
@@ -20,6 +17,9 @@ from ..shared.options import BLOCKS, Output, RequestOption, option
 from ..shared.table import SHOWN, UNKNOWN, TextTable, plus_minus, verdict_table
 from ..shared.talk import progress
 from .options import ONLY, UNITS, Files
+
+if TYPE_CHECKING:
+    from lunarsci.spectra.mgm.result import FittedBand, MgmFit
 
 if TYPE_CHECKING:
     from lunarsci.spectra.abundance.result import Abundance
@@ -141,6 +141,8 @@ def _shared_in_ratios(record: Mapping[str, Any], *, with_shared: bool) -> list[s
 
 def _composition_notes(fit: MgmFit) -> list[str]:
 
+    from lunarsci.spectra.mgm.batch import compositions
+
     notes = []
     for item in compositions(fit):
         if item.mean is not None:
@@ -220,6 +222,8 @@ def _intervals_table(intervals: Mapping[str, Any]) -> TextTable:
 
 
 def _choice_table(choice: Mapping[str, Any]) -> TextTable:
+
+    from lunarsci.spectra.mgm.assemblages import SURE
 
     shown = [(item, f"{100 * item['probability']:.0f}") for item in choice["candidates"]]
     rows = [[item["assemblage"], percent, f"{item['ln_evidence']:.1f}"] for item, percent in shown if percent != "0"]

@@ -7,10 +7,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from lunarsci.twin.jobs import forces as job
-from lunarsci.twin.jobs.forces import DriveForces
 from lunarsci.twin.jobs.requests import DriveRequest
-from lunarsci.twin.judgement.tables import Spread, WheelLoads
 
 from ..shared.command import command
 from ..shared.emit import Report
@@ -18,6 +15,10 @@ from ..shared.options import SPREAD, Output
 from ..shared.table import TextTable, bare
 from ..shared.talk import progress
 from .options import DRIVE, PlanFile
+
+if TYPE_CHECKING:
+    from lunarsci.twin.jobs.forces import DriveForces
+    from lunarsci.twin.judgement.tables import Spread, WheelLoads
 
 if TYPE_CHECKING:
     from lunarsci.twin.jobs.forces import DriveForces
@@ -49,6 +50,8 @@ def forces(output: Output, request: DriveRequest, plan: PlanFile = None) -> Repo
     The drive has the soil of the terrain unless --sweep, --members or --soil name others. `lunarsci twin loads` gives
     the same along a measured motion.
     """
+
+    from lunarsci.twin.jobs import forces as job
 
     with progress("driving", quiet=output.quiet) as update:
         result = job.forces(plan, request, progress=update)

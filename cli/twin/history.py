@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lunarsci.errors import RequestError
-from lunarsci.regolith.belief import BeliefDistance, SoilBelief, parameter_rows
-from lunarsci.regolith.columns import ground_name
-from lunarsci.twin.jobs.history import BeliefHistory
 from lunarsci.twin.jobs.requests import HistoryRequest
 
 from ..shared.command import command
 from ..shared.emit import Report
 from ..shared.options import Output, option
 from ..shared.table import TextTable, significant
+
+if TYPE_CHECKING:
+    from lunarsci.regolith.belief import BeliefDistance, SoilBelief
+    from lunarsci.twin.jobs.history import BeliefHistory
 
 if TYPE_CHECKING:
     from lunarsci.regolith.belief import BeliefDistance, SoilBelief
@@ -79,6 +80,8 @@ def history(
 
 def _tables(result: BeliefHistory, save: Path | None) -> list[TextTable]:
 
+    from lunarsci.regolith.belief import parameter_rows
+
     now = parameter_table(parameter_rows(result.belief), "What is believed now")
     drives = result.drives
     tables = [_drive_table(result.source.name, drives), _moved_table(drives), now, _physics_table(result.belief)]
@@ -91,6 +94,8 @@ def _tables(result: BeliefHistory, save: Path | None) -> list[TextTable]:
 
 
 def _drive_table(name: str, drives: list[dict[str, Any]]) -> TextTable:
+
+    from lunarsci.regolith.columns import ground_name
 
     headers = [
         "drive",

@@ -8,15 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from lunarsci.heights.projections import lonlat_of
-from lunarsci.twin.jobs import plan as job
-from lunarsci.twin.jobs.chosen_drive import ChosenDrive
-from lunarsci.twin.jobs.plan import PlannedMission
 from lunarsci.twin.jobs.requests import PlanRequest
-from lunarsci.twin.jobs.terrain import TerrainSurvey
-from lunarsci.twin.judgement.choice import DriveCandidate
-from lunarsci.twin.plans.plan import Leg
-from lunarsci.twin.routes.planner import PlannedPath
 
 from ..shared.command import command
 from ..shared.emit import Report
@@ -25,6 +17,14 @@ from ..shared.table import TextTable
 from ..shared.talk import progress
 from .terrain import LIMITS, GeoTiff, NamedTerrain, check_files, ground_table
 from .terrain import OPTIONS as OF_TERRAIN
+
+if TYPE_CHECKING:
+    from lunarsci.twin.jobs.chosen_drive import ChosenDrive
+    from lunarsci.twin.jobs.plan import PlannedMission
+    from lunarsci.twin.jobs.terrain import TerrainSurvey
+    from lunarsci.twin.judgement.choice import DriveCandidate
+    from lunarsci.twin.plans.plan import Leg
+    from lunarsci.twin.routes.planner import PlannedPath
 
 if TYPE_CHECKING:
     from lunarsci.twin.jobs.chosen_drive import ChosenDrive
@@ -95,6 +95,8 @@ def plan(output: Output, request: PlanRequest, terrain: NamedTerrain = None, geo
     the plans, legs.csv the timetable, mission.geojson the map.
     """
 
+    from lunarsci.twin.jobs import plan as job
+
     alone = request.risk is None and request.mission is None
     check_files(output, soil=bool(request.soil) and alone, geotiff=geotiff)
     with progress("planning", quiet=output.quiet) as update:
@@ -106,6 +108,7 @@ def result_tables(survey: TerrainSurvey) -> list[TextTable]:
     """A mission's targets and legs, or the drives to choose from or the ground, and the way."""
 
     from lunarsci.twin.jobs.chosen_drive import ChosenDrive
+    from lunarsci.twin.jobs.plan import PlannedMission
 
     if isinstance(survey, PlannedMission):
         return mission_tables(survey)
@@ -199,6 +202,8 @@ def _driven(leg: Leg) -> str:
 
 def _place_notes(path: PlannedPath, light: Mapping[str, Any]) -> list[str]:
     """Longitude and latitude of the end, and the share of the path in shadow, where these are known."""
+
+    from lunarsci.heights.projections import lonlat_of
 
     end = lonlat_of(path.plan.crs, path.end[:2].tolist())
     notes = [f"ends at longitude {end['longitude_deg']:.6f} deg, latitude {end['latitude_deg']:.6f} deg"] if end else []

@@ -7,14 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lunarsci.regolith.columns import short_name
-from lunarsci.twin.figures.animation import FORMATS, check_format
-from lunarsci.twin.jobs import predict as job
-from lunarsci.twin.jobs.predict import PredictedDrives
 from lunarsci.twin.jobs.requests import PredictRequest
-from lunarsci.twin.judgement.energy import energy_record, power_record
-from lunarsci.twin.judgement.safety import Judgement, Verdict, headword
-from lunarsci.twin.judgement.tables import check_loads, load_notes
 
 from ..shared.command import command
 from ..shared.emit import Report
@@ -22,6 +15,10 @@ from ..shared.options import SPREAD, Output, option
 from ..shared.table import TextTable
 from ..shared.talk import progress
 from .options import AS_WRITTEN, BEFORE, CHARGE, DRIVE, EXACT_TERRAIN, KEEP_OUT, RUTS, SUN, PlanFile
+
+if TYPE_CHECKING:
+    from lunarsci.twin.jobs.predict import PredictedDrives
+    from lunarsci.twin.judgement.safety import Judgement, Verdict
 
 if TYPE_CHECKING:
     from lunarsci.twin.jobs.predict import PredictedDrives
@@ -80,6 +77,8 @@ def predict(
     slip, sinkage and forces; the result says how much of the ends' variance that is.
     """
 
+    from lunarsci.twin.jobs import predict as job
+
     if animate is not None:
         _check_film(output, animate)
     with progress("driving", quiet=output.quiet) as update:
@@ -94,6 +93,8 @@ def result_tables(predicted: PredictedDrives) -> list[TextTable]:
 
 
 def _check_film(output: Output, animate: Path) -> None:
+
+    from lunarsci.twin.figures.animation import FORMATS, check_format
 
     output.check_extra("--animate", animate, FORMATS)
     check_format(animate)
@@ -127,6 +128,10 @@ QUANTITIES = {"sinkage_m": ("sinkage", "mm", 1e3)}
 
 def _verdict_tables(predicted: PredictedDrives) -> list[TextTable]:
     """The verdict for people: head line, limits, notes."""
+
+    from lunarsci.regolith.columns import short_name
+    from lunarsci.twin.judgement.safety import headword
+    from lunarsci.twin.judgement.tables import check_loads, load_notes
 
     verdict, prediction = predicted.verdict, predicted.prediction
     rows = [_limit_row(limit) for limit in verdict.limits]
@@ -169,6 +174,8 @@ def _limit_row(limit: Judgement) -> list[str]:
 
 def _energy_notes(predicted: PredictedDrives) -> list[str]:
 
+    from lunarsci.twin.judgement.energy import energy_record
+
     energy = energy_record(predicted.prediction)
     if energy is None:
         return []
@@ -180,6 +187,8 @@ def _energy_notes(predicted: PredictedDrives) -> list[str]:
 
 
 def _power_notes(predicted: PredictedDrives) -> list[str]:
+
+    from lunarsci.twin.judgement.energy import power_record
 
     power = predicted.prediction.rover.power
     if predicted.power is None or power is None:

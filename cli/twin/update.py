@@ -8,13 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lunarsci.regolith.belief import parameter_rows
-from lunarsci.regolith.columns import short_name
-from lunarsci.twin.assimilation.segments import Segment
-from lunarsci.twin.assimilation.update import SURPRISING
-from lunarsci.twin.jobs import update as job
 from lunarsci.twin.jobs.requests import UpdateRequest
-from lunarsci.twin.jobs.update import LearnedSoil
 
 from ..shared.command import command
 from ..shared.emit import Report
@@ -23,6 +17,10 @@ from ..shared.table import TextTable
 from ..shared.talk import progress
 from .history import discrepancy_table, parameter_table
 from .options import AS_WRITTEN, GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, TERRAIN
+
+if TYPE_CHECKING:
+    from lunarsci.twin.assimilation.segments import Segment
+    from lunarsci.twin.jobs.update import LearnedSoil
 
 if TYPE_CHECKING:
     from lunarsci.twin.assimilation.segments import Segment
@@ -114,6 +112,8 @@ def update(
     What no soil explains teaches how far the twin's physics is off, which predictions from the belief then carry.
     """
 
+    from lunarsci.twin.jobs import update as job
+
     output.check_extra("--save", save, (".json",))
     output.check_extra("--save-map", save_map, (".json",))
     output.check_extra("--save-terrain", save_terrain, (".npz",))
@@ -130,6 +130,9 @@ def update(
 
 def result_tables(learned: LearnedSoil) -> list[TextTable]:
 
+    from lunarsci.regolith.belief import parameter_rows
+    from lunarsci.regolith.columns import short_name
+
     given = learned.known
     title = (
         f"Soil after {learned.states.name}: {given.plan.name}; {short_name(given.rover.name)} on {given.terrain.name}"
@@ -142,6 +145,8 @@ def result_tables(learned: LearnedSoil) -> list[TextTable]:
 
 
 def _notes(learned: LearnedSoil) -> list[str]:
+
+    from lunarsci.twin.assimilation.update import SURPRISING
 
     update = learned.found
     notes = [

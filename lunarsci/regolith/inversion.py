@@ -16,12 +16,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
 from lunarsci.errors import ParameterError
 from lunarsci.ranges import NOT_NEGATIVE, POSITIVE, check_each
-from lunarsci.regolith.forces import (
-    contact_angles,
-    longitudinal_mobilisation,
-    stress_moments,
-    travel_ratio,
-)
+from lunarsci.regolith.forces import contact_angles, longitudinal_mobilisation, stress_moments, travel_ratio
 from lunarsci.regolith.wheel import SLIP_SINKAGE_LAWS, SlipSinkageLaw
 
 STEEPEST_DEG = 85.0

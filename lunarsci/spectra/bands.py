@@ -21,17 +21,7 @@ from lunarsci.errors import DataError
 from lunarsci.io import records
 from lunarsci.parallel.blocks import arrays_in_blocks, rows_in_memory, saved_rows
 from lunarsci.spectra import band_shape as model
-from lunarsci.spectra.band_shape import (
-    BandGrid,
-    BandWork,
-    Smoother,
-    deepest_of,
-    fit,
-    minima,
-    shape,
-    smooth,
-    window_of,
-)
+from lunarsci.spectra.band_shape import BandGrid, BandWork, Smoother, deepest_of, fit, minima, shape, smooth, window_of
 from lunarsci.spectra.band_status import (
     ABSENT_NM,
     AREA_CALIBRATION,

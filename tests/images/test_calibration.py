@@ -16,14 +16,7 @@ from lunarsci.cli import main
 from lunarsci.cli.images.calibrate import EXAMPLES
 
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
-from lunarsci.images.calibration import (
-    BoardTarget,
-    CameraCalibration,
-    Sighting,
-    calibrate,
-    find_target,
-    of_moments,
-)
+from lunarsci.images.calibration import BoardTarget, CameraCalibration, Sighting, calibrate, find_target, of_moments
 from lunarsci.images.camera import INTRINSICS, Camera, rotation_of, vector_of
 from lunarsci.images.jobs.calibrate_cameras import SIDES, CalibratedCameras, _seen_share, calibrate_cameras
 from lunarsci.images.jobs.requests import CalibrateCamerasRequest

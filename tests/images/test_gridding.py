@@ -14,10 +14,7 @@ from lunarsci.images.camera import PARAMETERS, Camera, Pose, StereoRig, covarian
 from lunarsci.images.elevation import ElevationModel, read_elevation
 from lunarsci.images.gridding import _common_errors, _lay, grid_of
 from lunarsci.images.jobs.dem import StereoTerrain, dem
-from lunarsci.images.matching import (
-    Rectified,
-    StereoMatches,
-)
+from lunarsci.images.matching import Rectified, StereoMatches
 from lunarsci.images.pictures import png_bytes
 from lunarsci.images.render import Landscape, RenderedPair, landscape_on, render
 from lunarsci.images.rig_files import pose_text, read_rig, rig_text

@@ -7,12 +7,7 @@ import pytest
 
 from lunarsci.errors import DataError
 from lunarsci.guide.info import info
-from lunarsci.images.camera import (
-    Camera,
-    Pose,
-    rotation_of,
-    vector_of,
-)
+from lunarsci.images.camera import Camera, Pose, rotation_of, vector_of
 from lunarsci.images.jobs.cameras import cameras
 from lunarsci.images.labels import CahvModel, fit_cahv, read_label
 from lunarsci.images.rig_files import read_rig

@@ -12,16 +12,7 @@ import pytest
 from lunarsci.errors import DataError
 from lunarsci.images.camera import Camera, Pose, StereoRig, covariance_of
 from lunarsci.images.jobs.dem import StereoTerrain, dem
-from lunarsci.images.matching import (
-    HALF_PX,
-    MATCHED,
-    SHADOW,
-    _islands,
-    _relief,
-    match,
-    rectify,
-    refine,
-)
+from lunarsci.images.matching import HALF_PX, MATCHED, SHADOW, _islands, _relief, match, rectify, refine
 from lunarsci.images.pictures import png_bytes, read_picture
 from lunarsci.images.render import Landscape, RenderedPair, landscape_on, render
 from lunarsci.images.rig_files import pose_text, rig_text

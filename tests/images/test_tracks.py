@@ -11,15 +11,7 @@ from stamped_ground import NAVCAM, PANCAM, Ground, with_track
 from lunarsci.arrays import BIWEIGHT, robust_fit
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.images.jobs.track import TrackSinkage
-from lunarsci.images.tracks import (
-    TrackDepths,
-    TrackProfile,
-    Unrolled,
-    cells_of,
-    places_on,
-    read_line,
-    track_depths,
-)
+from lunarsci.images.tracks import TrackDepths, TrackProfile, Unrolled, cells_of, places_on, read_line, track_depths
 
 LINE = np.array([[0.3, 1.2], [1.4, 1.2]])
 

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from lunarsci.errors import ParameterError
-from lunarsci.regolith.forces import (
-    closed_form_forces,
-)
+from lunarsci.regolith.forces import closed_form_forces
 from lunarsci.regolith.inversion import reece_stiffness, slip_sinkage
 from lunarsci.regolith.soil import read_soil
 from lunarsci.regolith.traction import sinkage_under_load, stiffness_under_load

@@ -17,13 +17,7 @@ from lunarsci.regolith.inversion import reece_stiffness
 from lunarsci.regolith.jobs.requests import WheelForcesRequest
 from lunarsci.regolith.soil import Soil, read_soil, soil_hash, warn_of_unusual
 from lunarsci.regolith.traction import LoadedState, LoadedWheel, Traction, traction
-from lunarsci.regolith.wheel import (
-    MAX_VALID_SLIP,
-    PAPER,
-    ContactModel,
-    Wheel,
-    read_wheel,
-)
+from lunarsci.regolith.wheel import MAX_VALID_SLIP, PAPER, ContactModel, Wheel, read_wheel
 from lunarsci.result import MadeFrom, Result, job
 from lunarsci.rovers import read_rover
 

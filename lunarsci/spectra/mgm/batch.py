@@ -28,14 +28,7 @@ from lunarsci.spectra.mgm.levenberg_marquardt import (
     KernelFits,
 )
 from lunarsci.spectra.mgm.model import NM_PER_UM, MgmModel, center_slopes, prior_covariance
-from lunarsci.spectra.mgm.result import (
-    REACH_NM,
-    UNDETERMINED,
-    FittedBand,
-    MgmFit,
-    StrengthRatio,
-    pyroxene_pair,
-)
+from lunarsci.spectra.mgm.result import REACH_NM, UNDETERMINED, FittedBand, MgmFit, StrengthRatio, pyroxene_pair
 from lunarsci.spectra.spectrum import reaches_over
 
 LEAST_CURVATURE = 0.1

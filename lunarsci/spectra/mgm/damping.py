@@ -14,14 +14,7 @@ from lunarsci.spectra.mgm.fit import CONTINUUM_QUANTILE, DEFAULT_MODEL_ERROR, FI
 from lunarsci.spectra.mgm.fit_file import LIMITS, WAVENUMBER_NM, FitFile, ProgramParameters, parameters_of, raw_basis
 from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.model import NM_PER_UM, MgmModel
-from lunarsci.spectra.mgm.result import (
-    REACH_NM,
-    FittedBand,
-    MgmFailure,
-    MgmFit,
-    StrengthRatio,
-    pyroxene_pair,
-)
+from lunarsci.spectra.mgm.result import REACH_NM, FittedBand, MgmFailure, MgmFit, StrengthRatio, pyroxene_pair
 from lunarsci.spectra.spectrum import Spectrum
 
 MAX_ITERATIONS = 100_000

@@ -19,15 +19,7 @@ from lunarsci.parallel.blocks import run_blocks, shared_out
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.judgement.energy import expected_energy_j
-from lunarsci.twin.judgement.keeping import (
-    CONFIDENCE,
-    Chance,
-    broken,
-    extremes,
-    least_drives,
-    limited,
-    limits_judged,
-)
+from lunarsci.twin.judgement.keeping import CONFIDENCE, Chance, broken, extremes, least_drives, limited, limits_judged
 from lunarsci.twin.judgement.quantities import least_of_95
 from lunarsci.twin.plans.path import make_schedule
 from lunarsci.twin.plans.plan import Limit, Plan

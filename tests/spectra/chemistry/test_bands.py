@@ -27,9 +27,7 @@ from lunarsci.spectra.chemistry.bands import (
     gaffey_pairs,
     lines_of,
 )
-from lunarsci.spectra.chemistry.bands import (
-    TABLE as CHONDRITES,
-)
+from lunarsci.spectra.chemistry.bands import TABLE as CHONDRITES
 from lunarsci.spectra.chemistry.plane import PLANE_TABLE, TABLE, anchors, objections, regressions
 from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
