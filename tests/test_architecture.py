@@ -2,6 +2,7 @@
 
 import ast
 import graphlib
+import re
 import tomllib
 from collections import Counter
 from collections.abc import Iterator
@@ -116,6 +117,34 @@ def lengths() -> list[tuple[str, int]]:
                 body = node.end_lineno - node.lineno + 1 - (doc.count("\n") + 1 if doc else 0)  # type: ignore[operator]
                 found.append((f"{path.relative_to(ROOT)}:{node.name}", body))
     return found
+
+
+OTHER_WORDS = {
+    "told": "reported, stated, notify",
+    "said": "note, stated",
+    "found": "result, detected, or what it is",
+    "known": "given, stated, prior",
+    "own": "subset, per_…",
+    "kept": "inliers, retained, saved",
+    "stranger": "outlier",
+}
+"""Words that say little of what a name stands for, and some of the field's instead."""
+KEYS_AND_OPTIONS = {"known", "kept", "kept_share"}
+"""Names of options and keys of JSON, which stay for users."""
+
+
+def test_names_are_words_of_the_field() -> None:
+    odd = []
+    for path in (path for path in MODULES if ROOT / "spectra_data" not in path.parents):
+        for node in ast.walk(tree_of(path)):
+            name = getattr(node, "name", None) or getattr(node, "arg", None)
+            if isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Store):
+                name = node.id if isinstance(node, ast.Name) else node.attr
+            if not isinstance(name, str) or isinstance(node, ast.keyword | ast.alias) or name in KEYS_AND_OPTIONS:
+                continue
+            parts = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower().split("_")
+            odd += [f"{path.name}: {name}; rather {OTHER_WORDS[word]}" for word in OTHER_WORDS if word in parts]
+    assert odd == []
 
 
 def test_functions_and_modules_stay_small() -> None:

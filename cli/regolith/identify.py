@@ -100,7 +100,7 @@ def identify(states: States, request: IdentifyRequest, output: Output) -> Report
 def result_tables(soil: IdentifiedSoil) -> list[TextTable]:
     """Each state, where there are few; the site; where the errors come from."""
     return [
-        *_observation_tables(soil.found, "Each state"),
+        *_observation_tables(soil.identification, "Each state"),
         _site_table(soil, _site_title(soil), NOTE, *read_as(soil)),
         *_shares(soil),
     ]
@@ -111,8 +111,8 @@ def single_tables(soil: IdentifiedSoil, title: str) -> list[TextTable]:
     against = "; ".join(item.text for item in soil.agreements if not item.agree)
     test = f"solved so, the states differ by more than their errors ({against})" if against else ""
     notes = [f"{test}: this tests what single states assume, not the soil above"] if test else []
-    states = _observation_tables(soil.found, title)
-    middle = f"The middle of these states, {soil.found.draws} draws each" if states else title
+    states = _observation_tables(soil.identification, title)
+    middle = f"The middle of these states, {soil.identification.draws} draws each" if states else title
     return [
         *states,
         _site_table(soil, middle, "errors are those of one state, as states scatter", *notes),
@@ -159,7 +159,7 @@ def _site_table(result: IdentifiedSoil, title: str, *notes: str) -> TextTable:
 
     from lunarsci.regolith.identify import LABELS
 
-    made = result.found
+    made = result.identification
     several = len(made.corners) > 1
     names = [name for name in LABELS if not (several and name == "lateral_modulus_mm")]
     rows = [_site_row(LABELS[name], made.site[name], name) for name in names]
@@ -171,13 +171,13 @@ def _site_table(result: IdentifiedSoil, title: str, *notes: str) -> TextTable:
 
 def wheel_text(result: IdentifiedSoil) -> str:
     """How many states, and with which wheel: its name, and the file where it is another."""
-    count = len(result.found.observations)
+    count = len(result.identification.observations)
     default = {"default": " (the default)", "table": " (named in the table)"}.get(result.named_by, "")
     return f"{count} state{'s' if count > 1 else ''} with the wheel of {result.wheel_of}{default}"
 
 
 def _site_title(result: IdentifiedSoil) -> str:
-    made = result.found
+    made = result.identification
     return f"The site from {wheel_text(result)}, {made.draws} draws each, sign convention '{made.reading}'"
 
 

@@ -134,7 +134,7 @@ def _computing(output: Output, where: Mapping[str, Any]) -> Iterator[None]:
         return
     from lunarsci.parallel.blocks import computing
 
-    with computing(keep=output.path, force=output.force, told=partial(say, quiet=output.quiet), **where):
+    with computing(keep=output.path, force=output.force, notify=partial(say, quiet=output.quiet), **where):
         yield
 
 

@@ -15,7 +15,7 @@ from ..shared.table import SHOWN, TextTable, plus_minus
 from .options import ONLY, UNITS, Files
 
 if TYPE_CHECKING:
-    from lunarsci.spectra.jobs.indices import FoundIndices
+    from lunarsci.spectra.jobs.indices import MeasuredIndices
 
 OPTIONS = {
     "index": option(metavar="NAME"),
@@ -50,12 +50,12 @@ def indices(files: Files, request: IndicesRequest) -> Report:
     return Report(result, result_tables(result))
 
 
-def result_tables(result: FoundIndices) -> list[TextTable]:
+def result_tables(result: MeasuredIndices) -> list[TextTable]:
     """One spectrum in full, of several a line each."""
     return [_one(result) if len(result.batch.spectra) == 1 else _many(result)]
 
 
-def _one(result: FoundIndices) -> TextTable:
+def _one(result: MeasuredIndices) -> TextTable:
 
     from lunarsci.spectra.indices import INDICES
 
@@ -66,7 +66,7 @@ def _one(result: FoundIndices) -> TextTable:
     return TextTable(["index", "value", ""], rows, title=record["id"], notes=_notes())
 
 
-def _many(result: FoundIndices) -> TextTable:
+def _many(result: MeasuredIndices) -> TextTable:
 
     from lunarsci.spectra.indices import INDICES, NO_CHANNELS
 

@@ -152,7 +152,7 @@ def _tables(compared: ComparedDrive) -> list[TextTable]:
 
     from lunarsci.twin.comparison.forecast import miss_of
 
-    matched, judged, states = compared.matched, compared.found, compared.states
+    matched, judged, states = compared.matched, compared.comparison, compared.states
     forecast, pace = matched.forecast, compared.pace
     drives = (
         f"{judged.finished} of {judged.members} drives"

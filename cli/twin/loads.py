@@ -107,7 +107,7 @@ def _notes_of_motion(result: MotionLoads) -> list[str]:
 
     from lunarsci.twin.lanes import outcome_texts
 
-    notes = [*outcome_texts(result.found.outcome), *result.known.remarks]
+    notes = [*outcome_texts(result.forces.outcome), *result.inputs.remarks]
     if missing := result.missing:
         notes.insert(
             0,
@@ -115,12 +115,12 @@ def _notes_of_motion(result: MotionLoads) -> list[str]:
             f"that the wheels do not supply in the mean, {100 * missing['rms_share_of_weight']:.1f} % of the weight in "
             "rms",
         )
-    return [*notes, "the terrain is synthetic"] if result.known.terrain.synthetic else notes
+    return [*notes, "the terrain is synthetic"] if result.inputs.terrain.synthetic else notes
 
 
 def _notes(result: UncertainLoads) -> list[str]:
     notes = []
-    if result.found.held.motion.sigmas is None:
+    if result.forces.held.motion.sigmas is None:
         notes.append("the motion has no columns x_m_sigma, y_m_sigma, yaw_deg_sigma; it counts as exact")
     if "belief" not in result.given:
         notes.append("no belief is given: the soils are drawn from the priors")
@@ -131,7 +131,7 @@ def _notes(result: UncertainLoads) -> list[str]:
             "errors of single pulls are one soil's, alike at all poses; `regolith identify` takes them as independent "
             "and is too sure of what it finds, --iterate is not"
         )
-    return [*notes, "the terrain is synthetic"] if result.known.terrain.synthetic else notes
+    return [*notes, "the terrain is synthetic"] if result.inputs.terrain.synthetic else notes
 
 
 def _tables(result: UncertainLoads) -> list[TextTable]:

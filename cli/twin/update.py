@@ -133,7 +133,7 @@ def result_tables(learned: LearnedSoil) -> list[TextTable]:
     from lunarsci.regolith.belief import parameter_rows
     from lunarsci.regolith.columns import short_name
 
-    given = learned.known
+    given = learned.inputs
     title = (
         f"Soil after {learned.states.name}: {given.plan.name}; {short_name(given.rover.name)} on {given.terrain.name}"
     )
@@ -148,7 +148,7 @@ def _notes(learned: LearnedSoil) -> list[str]:
 
     from lunarsci.twin.assimilation.update import SURPRISING
 
-    update = learned.found
+    update = learned.update
     notes = [
         f"learned from {update.learned_from}; {int(update.outliers.sum())} outliers, reduced chi-square "
         f"{update.reduced:.2f}",
@@ -176,7 +176,7 @@ def _mass_notes(learned: LearnedSoil) -> list[str]:
     """What the soil owes to the mass in the rover file, which no motion tells."""
     if learned.forces_measured:
         return []
-    rover = learned.known.rover
+    rover = learned.inputs.rover
     return [
         f"stiffness and cohesion are those of a rover of {rover.mass_kg:.4g} kg, as its file says: of one heavier by a "
         "tenth both would be larger by a tenth, and all else the same; slip, sinkage and positions do not tell the mass"

@@ -195,7 +195,7 @@ class Computing:
     memory : bytes that this process may take, such as `1.5GB`; None leaves the size of blocks to each computation.
     keep : the file that is being made: done blocks are saved in a folder beside it until it is there.
     force : whether blocks of another computation may be thrown away.
-    told : is called with a line that says that it goes on after blocks of an earlier run.
+    notify : is called with a line that says that it goes on after blocks of an earlier run.
     """
 
     scheduler: str | None = None
@@ -203,7 +203,7 @@ class Computing:
     memory: str | None = None
     keep: Path | None = None
     force: bool = False
-    told: Callable[[str], None] | None = None
+    notify: Callable[[str], None] | None = None
     _client: Any = field(default=None, init=False, repr=False)
     _saved: list[SavedBlocks] = field(default_factory=list, init=False, repr=False)
     _stages: Counter[str] = field(default_factory=Counter, init=False, repr=False)
@@ -259,14 +259,14 @@ def computing(
     memory: str | None = None,
     keep: str | Path | None = None,
     force: bool = False,
-    told: Callable[[str], None] | None = None,
+    notify: Callable[[str], None] | None = None,
 ) -> Iterator[Computing]:
     """Say where blocks of rows are computed within; the parameters are those of `Computing`.
 
     An error tells, in a note, what was saved. Raises RequestError.
     """
     file = None if keep is None else Path(keep)
-    here = Computing(scheduler=scheduler, workers=workers, memory=memory, keep=file, force=force, told=told)
+    here = Computing(scheduler=scheduler, workers=workers, memory=memory, keep=file, force=force, notify=notify)
     before = _HERE.set(here)
     _UNDER_WAY.append(here)
     done = False
@@ -431,8 +431,8 @@ def blocks_in_order(
         return
     saved = SavedBlocks(here.folder_of(stage), about() if callable(about) else about, total, rows, force=here.force)
     here._saved.append(saved)
-    if saved.done and here.told:
-        here.told(f"{stage}: going on after {len(saved.done)} of {len(saved.blocks)} blocks kept from an earlier run")
+    if saved.done and here.notify:
+        here.notify(f"{stage}: going on after {len(saved.done)} of {len(saved.blocks)} blocks kept from an earlier run")
     missing = [block for block in saved.blocks if block.start not in saved.done]
     for block, arrays in run_blocks(work, missing, fetch=fetch, progress=progress, done=total - sum(map(len, missing))):
         saved.save(block, arrays)

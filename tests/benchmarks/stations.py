@@ -40,7 +40,7 @@ def judged(found: Localised, folders: list[Path]) -> dict[str, float]:
 def measure(scene: Path) -> dict[str, float]:
     """The same of all stations of a scene."""
     folders = sorted(scene.glob("station*"))
-    return judged(locate(folders, rig=str(scene / "rig.toml")).found, folders)
+    return judged(locate(folders, rig=str(scene / "rig.toml")).localised, folders)
 
 
 def main(scenes: list[str]) -> None:

@@ -210,7 +210,7 @@ def test_templates_of_states_and_priors_say_the_same_as_their_readers() -> None:
     prior = template("prior").text
     assert read_prior(InputFile("prior.toml", prior.encode())) == default_prior()
     states = io.StringIO(template("states").text)
-    found = lunarsci.identify(states, rover="yutu2", draws=2).found.site["stiffness_kpa_m_n"].value
+    found = lunarsci.identify(states, rover="yutu2", draws=2).identification.site["stiffness_kpa_m_n"].value
     soil = read_soil("lunar-typical")
     assert soil.sinkage_exponent == 1.0 and found == pytest.approx(soil.stiffness_kpa_m_n, rel=0.01)
 

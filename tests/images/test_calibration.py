@@ -136,7 +136,7 @@ def found(shown: tuple[list[str], list[str]]) -> CalibratedCameras:
 
 def test_rendered_boards_give_the_rig(found: CalibratedCameras) -> None:
     """k3 is 0.01 at most, and held at 0: no more than a hundredth of a pixel at the picture's edge."""
-    fit = found.found
+    fit = found.calibration
     assert fit.residual_px < 0.08
     delta, sigma = away(fit), np.sqrt(np.diag(fit.covariance))
     free = sigma > 0
@@ -181,7 +181,7 @@ def test_swapped_sides_are_told_and_the_advice_gives_the_rig(
     assert "left and right are swapped" in swapped.untrusted
     assert "give its pictures first" in swapped.untrusted
     assert not found.untrusted
-    assert swapped.found.baseline_m == pytest.approx(found.found.baseline_m, rel=1e-6)
+    assert swapped.calibration.baseline_m == pytest.approx(found.calibration.baseline_m, rel=1e-6)
     with pytest.raises(RequestError, match="put a pattern in quotes"):
         calibrate_cameras(str(Path(shown[0][0]).parent / "middle*.png"))
 

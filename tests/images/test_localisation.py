@@ -290,7 +290,7 @@ def test_from_pictures_to_positions(stations: Path, answered: Callable[..., str]
     result = locate(folders, rig=str(stations / "rig.toml"), mast="0.4,0,1.2")
     for folder, pose in zip(folders, TRUE, strict=True):
         np.savez(folder / "truth.npz", left_rotation=pose.rotation, left_center_m=pose.center_m)
-    found = judged(result.found, folders)
+    found = judged(result.localised, folders)
     # A chi-square of six is below 22.5 with 99.9 %; 0.5 % of 7 m is the aim of cameras with 2.6 times the pixels.
     assert result.untrusted == "" and found["tied"] and found["nees"] < 22.5 and found["expected"] == 6
     assert found["percent"] < 1.0 < 100 * np.linalg.norm(RECKONED.center_m - TRUE[1].center_m) / 2

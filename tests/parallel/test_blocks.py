@@ -90,11 +90,11 @@ def test_an_error_of_a_block_is_passed_on_and_says_what_was_kept(tmp_path: Path)
     assert "blocks are kept in" in caught.value.__notes__[0]
     kept, _, of = caught.value.__notes__[0].split(" blocks")[0].split()
     told: list[str] = []
-    with computing(keep=tmp_path / "out.csv", told=told.append):
+    with computing(keep=tmp_path / "out.csv", notify=told.append):
         assert np.array_equal(collected(), EXPECTED)
     assert told == [f"squares: going on after {kept} of {of} blocks kept from an earlier run"]
     assert list(tmp_path.iterdir()) == []
-    with computing(keep=tmp_path / "out.csv", told=told.append):
+    with computing(keep=tmp_path / "out.csv", notify=told.append):
         collected()
     assert len(told) == 1, "nothing of a run that begins"
 

@@ -108,7 +108,7 @@ def test_a_soil_is_found_again_in_its_forces(identified: IdentifiedSoil) -> None
     """K_s of lunar-typical soil at its exponent of 1."""
     from lunarsci.regolith.soil import read_soil
 
-    site = identified.found.site
+    site = identified.identification.site
     assert site["stiffness_kpa_m_n"].value == pytest.approx(read_soil("lunar-typical").stiffness_kpa_m_n, rel=0.25)
     assert len(identified.rows()) == 8 and "sigma_m_pa" in identified.rows()[0]
     table = identified.to_table()

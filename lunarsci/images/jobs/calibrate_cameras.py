@@ -81,7 +81,7 @@ class CalibratedCameras(Result):
     """
 
     schema: ClassVar[str] = "images-calibrate/1"
-    found: CameraCalibration
+    calibration: CameraCalibration
     used: tuple[tuple[str, ...], ...]
     points: Mapping[str, int | None]
     request: CalibrateCamerasRequest
@@ -95,12 +95,14 @@ class CalibratedCameras(Result):
     def swapped(self) -> bool:
         """Whether the camera of the right pictures stands left of the other one."""
 
-        return len(self.found.cameras) > 1 and is_swapped(self.found.translation_m)
+        return len(self.calibration.cameras) > 1 and is_swapped(self.calibration.translation_m)
 
     @property
     def untrusted(self) -> str:
-        if self.found.residual_px > WORST_PX:
-            return f"the board's points are off by {self.found.residual_px:.2g} px; is it flat, and its size right?"
+        if self.calibration.residual_px > WORST_PX:
+            return (
+                f"the board's points are off by {self.calibration.residual_px:.2g} px; is it flat, and its size right?"
+            )
         if self.swapped:
             return SWAPPED
         vital = [line for line in self.not_determined() if line.startswith(("focal", "baseline"))]
@@ -108,7 +110,7 @@ class CalibratedCameras(Result):
 
     def to_dict(self) -> dict[str, Any]:
 
-        fit = self.found
+        fit = self.calibration
         cameras = [
             {"width_px": camera.width_px, "height_px": camera.height_px}
             | self._numbers(k)
@@ -135,8 +137,8 @@ class CalibratedCameras(Result):
     def _numbers(self, index: int) -> dict[str, float]:
         """Intrinsics of a camera with their errors."""
 
-        vector = self.found.cameras[index].vector()
-        sigma = self.found.covariance.diagonal()[9 * index : 9 * index + 9] ** 0.5
+        vector = self.calibration.cameras[index].vector()
+        sigma = self.calibration.covariance.diagonal()[9 * index : 9 * index + 9] ** 0.5
         cells: dict[str, float] = {}
         for name, value, error in zip(INTRINSICS, vector, sigma, strict=True):
             cells |= {name: float(value), f"{name}_sigma": float(error)}
@@ -145,19 +147,19 @@ class CalibratedCameras(Result):
     def _corner(self, index: int) -> float:
         """Largest uncertainty of a direction at the picture's corners. [px]"""
 
-        right, low = (n - 1.0 for n in self.found.cameras[index].size)
+        right, low = (n - 1.0 for n in self.calibration.cameras[index].size)
         places = np.array([[u, v] for u in np.linspace(0, right, 7) for v in np.linspace(0, low, 7)])
-        return float(np.nanmax(self.found.uncertainty_px(index, places)))
+        return float(np.nanmax(self.calibration.uncertainty_px(index, places)))
 
     def _baseline_sigma(self) -> float:
-        way = self.found.translation_m / self.found.baseline_m
-        return math.sqrt(float(way @ self.found.covariance[-3:, -3:] @ way))
+        way = self.calibration.translation_m / self.calibration.baseline_m
+        return math.sqrt(float(way @ self.calibration.covariance[-3:, -3:] @ way))
 
     def not_determined(self) -> list[str]:
         """What these pictures leave open, with its value and error."""
         lines = []
-        for k, camera in enumerate(self.found.cameras):
-            side = f" of the {camera.name}" if len(self.found.cameras) > 1 else ""
+        for k, camera in enumerate(self.calibration.cameras):
+            side = f" of the {camera.name}" if len(self.calibration.cameras) > 1 else ""
             cells = self._numbers(k)
             for name, largest in (
                 ("fx_px", FOCAL_SHARE * camera.fx_px),
@@ -169,13 +171,13 @@ class CalibratedCameras(Result):
                 if cells[f"{name}_sigma"] > largest:
                     word = "focal length" if name[0] == "f" else "principal point" if name[0] == "c" else "distortion"
                     lines.append(f"{word} {name}{side}: {cells[name]:.4g} ± {cells[f'{name}_sigma']:.2g}")
-        if self.found.baseline_m and self._baseline_sigma() > BASELINE_SHARE * self.found.baseline_m:
-            lines.append(f"baseline: {self.found.baseline_m:.4g} ± {self._baseline_sigma():.2g} m")
+        if self.calibration.baseline_m and self._baseline_sigma() > BASELINE_SHARE * self.calibration.baseline_m:
+            lines.append(f"baseline: {self.calibration.baseline_m:.4g} ± {self._baseline_sigma():.2g} m")
         return lines
 
     def notes(self) -> list[str]:
         """What the numbers rest on, and what would make them better."""
-        fit = self.found
+        fit = self.calibration
         notes = [f"errors are those of the residuals, {max(fit.between_pictures, 1):.2g} times, as pictures differ"]
         for k, camera in enumerate(fit.cameras):
             if (share := _seen_share(fit, k)) < SEEN_SHARE:
@@ -200,7 +202,7 @@ class CalibratedCameras(Result):
         """One a picture: points found, and what is left of them."""
 
         left: dict[str, Any] = {}
-        for index, rows in enumerate(self.found.residuals):
+        for index, rows in enumerate(self.calibration.residuals):
             for k, names in enumerate(self.used):
                 if (rows[:, 0] == k).any():
                     left[names[index]] = rows[rows[:, 0] == k, 3:]
@@ -219,20 +221,20 @@ class CalibratedCameras(Result):
 
         from lunarsci.images.figures import calibration_page
 
-        yield calibration_page(self.found, self.request.name)
+        yield calibration_page(self.calibration, self.request.name)
 
     def rig(self) -> StereoRig:
         """The stereo rig. Raises ParameterError for a single camera."""
 
-        if len(self.found.cameras) < 2:
+        if len(self.calibration.cameras) < 2:
             raise ParameterError("one camera is no stereo rig; give the right camera's pictures too, as `right`")
         return StereoRig(
             name=self.request.name,
-            left=self.found.cameras[0],
-            right=self.found.cameras[1],
-            rotation=self.found.rotation,
-            translation_m=self.found.translation_m,
-            covariance=self.found.covariance,
+            left=self.calibration.cameras[0],
+            right=self.calibration.cameras[1],
+            rotation=self.calibration.rotation,
+            translation_m=self.calibration.translation_m,
+            covariance=self.calibration.covariance,
             assumed=("bits", "full_well_e", "read_noise_e", "mtf_at_nyquist", "the target's size"),
             source=self._source("moments"),
         )
@@ -240,13 +242,15 @@ class CalibratedCameras(Result):
     def toml(self) -> bytes:
         """The file of the rig, or of the camera, that `images cameras` reads."""
 
-        if len(self.found.cameras) > 1:
+        if len(self.calibration.cameras) > 1:
             return rig_text(self.rig()).encode()
-        camera, covariance = self.found.cameras[0], self.found.covariance
+        camera, covariance = self.calibration.cameras[0], self.calibration.covariance
         return camera_text(camera, covariance, name=self.request.name, source=self._source("pictures")).encode()
 
     def _source(self, what: str) -> str:
-        return f"calibrated with a {self.request.target}, {len(self.used)} {what}, {self.found.residual_px:.2f} px"
+        return (
+            f"calibrated with a {self.request.target}, {len(self.used)} {what}, {self.calibration.residual_px:.2f} px"
+        )
 
 
 def _with_scale(fit: CameraCalibration, square_error: float) -> CameraCalibration:
@@ -308,7 +312,7 @@ def calibrate_cameras(
     fit = calibrate([v for v, _ in used], target, [side[0].size for side in shown], distortion=asked.distortion)
     steps(count, count)
     return CalibratedCameras(
-        found=_with_scale(fit, asked.square_error),
+        calibration=_with_scale(fit, asked.square_error),
         used=tuple(files for _, files in used),
         points={
             name: None if s is None else len(s.numbers)

@@ -50,7 +50,7 @@ class LocatedStations(Result):
     """Where the rover, or its left camera, was, in the frame of the first pose."""
 
     schema: ClassVar[str] = "images-locate/1"
-    found: Localised
+    localised: Localised
     rig: StereoRig
     inputs: Mapping[str, str]
     synthetic: bool
@@ -62,24 +62,24 @@ class LocatedStations(Result):
     @property
     def untrusted(self) -> str:
 
-        for number, station in enumerate(self.found.stations):
-            if not self.found.tied[number]:
-                why = "; ".join(r.failure for r in self.found.reports if r.second == number and r.failure)
+        for number, station in enumerate(self.localised.stations):
+            if not self.localised.tied[number]:
+                why = "; ".join(r.failure for r in self.localised.reports if r.second == number and r.failure)
                 return f"{station.name} is where dead reckoning puts it: {why}"
-            if number and self.found.off_sigmas(number) > ODD_SIGMAS:
-                off = self.found.off_sigmas(number)
+            if number and self.localised.off_sigmas(number) > ODD_SIGMAS:
+                off = self.localised.off_sigmas(number)
                 return f"{station.name} is {off:.0f} sigmas from its dead reckoning: one of them is wrong"
         return ""
 
     def to_dict(self) -> dict[str, Any]:
         return {
-            "positions_of": "rover" if self.found.stations[0].rover is not None else "left camera",
+            "positions_of": "rover" if self.localised.stations[0].rover is not None else "left camera",
             "stations": self.rows(),
-            "pairs": [self._pair(report._asdict()) for report in self.found.reports],
-            "covariance": self.found.covariance.tolist(),
+            "pairs": [self._pair(report._asdict()) for report in self.localised.reports],
+            "covariance": self.localised.covariance.tolist(),
             "covariance_of": [
                 f"{station.name} {name}"
-                for station in self.found.stations[1:]
+                for station in self.localised.stations[1:]
                 for name in (*(f"rotation_{a}_rad" for a in AXES), *(f"{a}_m" for a in AXES))
             ],
             "rig": self.rig.summary(),
@@ -87,12 +87,13 @@ class LocatedStations(Result):
         }
 
     def _pair(self, report: dict[str, Any]) -> dict[str, Any]:
-        names = [station.name for station in self.found.stations]
+        names = [station.name for station in self.localised.stations]
         named = {key: names[report[key]] for key in ("first", "second", "near")}
         number = next(
-            (k for k, p in enumerate(self.found.pairs) if {p.near, p.far} == {report["first"], report["second"]}), None
+            (k for k, p in enumerate(self.localised.pairs) if {p.near, p.far} == {report["first"], report["second"]}),
+            None,
         )
-        inflation = None if number is None else self.found.adjusted.inflation[number]
+        inflation = None if number is None else self.localised.adjusted.inflation[number]
         distances = dict(zip(("ground_near_m", "ground_far_m"), report.pop("ground_m"), strict=True))
         clean = {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in (report | distances).items()}
         return clean | named | {"error_inflation": inflation}
@@ -100,13 +101,13 @@ class LocatedStations(Result):
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """One a station, in the columns that `twin states`, `twin update` and `images merge` read of positions."""
 
-        return [self._row(k) for k in range(len(self.found.stations))]
+        return [self._row(k) for k in range(len(self.localised.stations))]
 
     def _row(self, k: int) -> dict[str, Any]:
 
-        station, pose = self.found.stations[k], self.found.poses[k]
-        place, before = self.found.place(k), self.found.shared(k, max(k - 1, 0))
-        errors = self.found.shared(k, k) if k else np.diag([0.0] * 3 + [FIRST_M**2] * 3)
+        station, pose = self.localised.stations[k], self.localised.poses[k]
+        place, before = self.localised.place(k), self.localised.shared(k, max(k - 1, 0))
+        errors = self.localised.shared(k, k) if k else np.diag([0.0] * 3 + [FIRST_M**2] * 3)
         heading, down, roll = pose.angles_deg()
         turned = math.degrees(math.sqrt(errors[2, 2]))
         yaw = None if station.rover is None else math.degrees(math.atan2(*place.rotation[[1, 0], 0]))
@@ -122,14 +123,14 @@ class LocatedStations(Result):
             "camera_heading_deg_sigma": turned,
             "camera_down_deg": down,
             "camera_roll_deg": roll,
-            "tied": self.found.tied[k],
+            "tied": self.localised.tied[k],
             "from_dead_reckoning_m": float(np.linalg.norm(pose.center_m - station.pose.center_m)),
         }
 
     def files(self) -> dict[str, Callable[[], bytes]]:
         """Positions, poses for `images dem`, and shifts of elevation models made with them: name to what makes it."""
 
-        result = self.found
+        result = self.localised
         made: dict[str, Callable[[], bytes]] = {"positions.csv": lambda: csv_bytes(self.to_table().to_pandas())}
         for station, pose in zip(result.stations, result.poses, strict=True):
             made[f"{station.name}.toml"] = lambda pose=pose: pose_text(pose).encode()  # type: ignore[misc]
@@ -144,7 +145,7 @@ class LocatedStations(Result):
         return pd.DataFrame(
             [
                 {"model": s.name, "x_m": 0.0, "y_m": 0.0, "z_m": 0.0} | row
-                for s, row in zip(self.found.stations, errors, strict=True)
+                for s, row in zip(self.localised.stations, errors, strict=True)
             ]
         )
 
@@ -152,14 +153,14 @@ class LocatedStations(Result):
 
         from lunarsci.images.figures import ties_figure
 
-        if not self.found.pairs:
+        if not self.localised.pairs:
             raise ParameterError(f"there are no ties to draw: {self.untrusted}; leave --plot out")
-        for number in range(len(self.found.pairs)):
-            yield ties_figure(self.found, number, synthetic=self.synthetic)
+        for number in range(len(self.localised.pairs)):
+            yield ties_figure(self.localised, number, synthetic=self.synthetic)
 
     @property
     def _whose(self) -> str:
-        given = self.found.stations[0].rover is not None
+        given = self.localised.stations[0].rover is not None
         return "the rover's origin" if given else "the left camera; with `mast` they are the rover's"
 
     def notes(self) -> list[str]:
@@ -168,7 +169,7 @@ class LocatedStations(Result):
             f"positions are those of {self._whose}; the first one's pose is taken as exact",
             "shadows that moved with the Sun pull ties along; residuals show that only in part",
         ]
-        if any(station.time_s is None for station in self.found.stations):
+        if any(station.time_s is None for station in self.localised.stations):
             notes.append("`twin states` and `twin update` need times: add time_s to each pose.toml")
         if self.rig.assumed:
             notes.append(f"the rig assumes: {', '.join(self.rig.assumed)}")
@@ -210,7 +211,7 @@ def locate(
         matched.append(_station(name, content, rig, asked, matched[-1] if matched else None))
     result = localise(matched, rig, progress=lambda done, total: report(count + done, 2 * count))
     made_up = "SYNTHETIC" in rig.name or any(content.synthetic for content in read)
-    return LocatedStations(found=result, rig=rig, inputs=inputs, synthetic=made_up)
+    return LocatedStations(localised=result, rig=rig, inputs=inputs, synthetic=made_up)
 
 
 def _names(folders: Sequence[Path]) -> list[str]:

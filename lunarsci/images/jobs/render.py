@@ -45,7 +45,7 @@ class SyntheticPair(Result):
 
     schema: ClassVar[str] = "images-render/1"
     landscape: Landscape
-    told: StereoRig
+    rig: StereoRig
     pair: RenderedPair
     inputs: Mapping[str, str]
     seed: int
@@ -55,7 +55,7 @@ class SyntheticPair(Result):
         return MadeFrom(inputs=self.inputs, sources=SOURCES, seed=self.seed)
 
     def to_dict(self) -> dict[str, Any]:
-        truth, rig = self.pair.truth, self.told
+        truth, rig = self.pair.truth, self.rig
         ground = truth.kind > 0
         return {
             "synthetic": True,
@@ -83,7 +83,7 @@ class SyntheticPair(Result):
     def figures(self) -> "Iterator[Figure]":
 
         figure = page(3.9)
-        headline(figure, f"{file_label(self.landscape.name)}, {self.told.name}", synthetic=True)
+        headline(figure, f"{file_label(self.landscape.name)}, {self.rig.name}", synthetic=True)
         for axis, name in zip(figure.subplots(1, 2), ("left", "right"), strict=True):
             axis.imshow(getattr(self.pair, name), cmap="gray", vmin=0)
             axis.set_title(f"{name} picture")
@@ -91,14 +91,14 @@ class SyntheticPair(Result):
         yield figure
 
     def files(self) -> dict[str, Callable[[], bytes]]:
-        """Pictures, the rig and pose that a solver is told, and the truth: name to what makes the content."""
+        """Pictures, the rig and pose that a solver is given, and the truth: name to what makes the content."""
 
         words = {"Comment": "SYNTHETIC, rendered by lunarsci", "Source": self.landscape.name}
         note = "# SYNTHETIC pictures were taken with a rig near this one; its own numbers are in truth.npz\n"
         return {
             "left.png": lambda: png_bytes(self.pair.left, words),
             "right.png": lambda: png_bytes(self.pair.right, words),
-            "rig.toml": lambda: (note + rig_text(self.told)).encode(),
+            "rig.toml": lambda: (note + rig_text(self.rig)).encode(),
             "pose.toml": lambda: pose_text(self.pair.left_pose).encode(),
             "truth.npz": self._truth_bytes,
         }
@@ -172,7 +172,7 @@ def render(
         samples=asked.samples,
         progress=progress,
     )
-    return SyntheticPair(landscape=ground, told=rig, pair=pair, inputs=inputs, seed=asked.seed)
+    return SyntheticPair(landscape=ground, rig=rig, pair=pair, inputs=inputs, seed=asked.seed)
 
 
 def _heights(terrain: str) -> tuple[float, float, float, FloatArray]:

@@ -120,12 +120,12 @@ class LocateRequest:
         if self.mast is None:
             return None
         try:
-            found = tuple(map(float, self.mast.split(",")))
+            place = tuple(map(float, self.mast.split(",")))
         except ValueError:
-            found = ()
-        if len(found) != 3 or not all(map(math.isfinite, found)):
+            place = ()
+        if len(place) != 3 or not all(map(math.isfinite, place)):
             raise RequestError(f"`mast` is '{self.mast}'; give x,y,z in m, ahead, left and up from the rover's origin")
-        return found
+        return place
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -140,7 +140,7 @@ class IdentifiedSoil(Result):
 
     Attributes
     ----------
-    found : estimates of each state and of the site, curves, corners.
+    identification : estimates of each state and of the site, curves, corners.
     rover, wheel : whose wheel was taken, as it was asked for, and the wheel.
     slip : of the states, NaN where it is unknown. (n,) [-]
     shares : where the errors come from, None where that was not asked for.
@@ -151,7 +151,7 @@ class IdentifiedSoil(Result):
     """
 
     schema: ClassVar[str] = "regolith-identify/1"
-    found: Identification
+    identification: Identification
     rover: str
     wheel: Wheel
     slip: FloatArray
@@ -176,14 +176,16 @@ class IdentifiedSoil(Result):
     @property
     def agreements(self) -> Sequence[StatesAgreement]:
         """Of each parameter that was solved for in several states."""
-        names = [name for name in LABELS if name in self.found.observations[0]]
-        listed = ((name, [row[name] for row in self.found.observations]) for name in names)
+        names = [name for name in LABELS if name in self.identification.observations[0]]
+        listed = ((name, [row[name] for row in self.identification.observations]) for name in names)
         return [made for name, estimates in listed if (made := agreement(name, estimates, self.slip))]
 
     @property
     def untrusted(self) -> str:
         reasons = [*map(str, self.questions)]
-        reasons += [f"no {LABELS[name]}: {self.found.site[name].reason}" for name in self.found.unsolved]
+        reasons += [
+            f"no {LABELS[name]}: {self.identification.site[name].reason}" for name in self.identification.unsolved
+        ]
         against = [item.text for item in self.agreements if not item.agree]
         if against:
             reasons.append(
@@ -207,30 +209,30 @@ class IdentifiedSoil(Result):
             },
             "agreement": [asdict(item) | {"agree": item.agree} for item in self.agreements],
         }
-        return self.found.to_dict() | about | shares
+        return self.identification.to_dict() | about | shares
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """Each state; the site is in `answers`."""
-        return [_flat(row) for row in self.found.observations]
+        return [_flat(row) for row in self.identification.observations]
 
     def answers(self) -> Sequence[Mapping[str, Any]]:
         """The values of the site, one row a parameter, the external friction angle at each assumed K_y."""
 
         name = "external_friction_angle_deg"
-        several = self.found.corners if len(self.found.corners) > 1 else ()
+        several = self.identification.corners if len(self.identification.corners) > 1 else ()
         corners = [(name, corner[name], corner["lateral_modulus_mm"]) for corner in several]
         return [
             {"parameter": key, "unit": UNITS[key]}
             | {part: getattr(estimate, part) for part in ("value", "sigma", "low", "high", "assumed")}
             | {"at_lateral_modulus_mm": modulus, "remark": estimate.reason}
-            for key, estimate, modulus in [*((key, self.found.site[key], None) for key in LABELS), *corners]
+            for key, estimate, modulus in [*((key, self.identification.site[key], None) for key in LABELS), *corners]
         ]
 
     def figures(self) -> "Iterator[Figure]":
 
         from lunarsci.regolith.figure import characteristic_curves
 
-        yield characteristic_curves(self.found)
+        yield characteristic_curves(self.identification)
 
 
 def _flat(row: Mapping[str, Any]) -> dict[str, Any]:
@@ -286,7 +288,7 @@ def identified(
     result = identify_soil(given.states, given.wheel, assumptions, draws=asked.draws, progress=progress, **same)
     shares = sensitivities(given.states, given.wheel, assumptions, **same) if asked.sensitivity else None
     return IdentifiedSoil(
-        found=result,
+        identification=result,
         rover=given.rover,
         wheel=given.wheel,
         slip=given.states.values[:, 1],

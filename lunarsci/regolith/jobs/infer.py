@@ -53,9 +53,9 @@ class InferredSoil(IdentifiedSoil):
     @property
     def held(self) -> Mapping[str, float]:
         """What single states are solved with, which the posterior does not assume."""
-        site = self.found.site
+        site = self.identification.site
         taken = {name: one.value for name, one in site.items() if one.assumed and one.value is not None}
-        return taken | {"shear_modulus_mm": self.found.assumptions.shear_modulus_mm}
+        return taken | {"shear_modulus_mm": self.identification.assumptions.shear_modulus_mm}
 
     @property
     def untrusted(self) -> str:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FoundIndices(Result):
+class MeasuredIndices(Result):
     """Indices by name, and the spectra that they are of."""
 
     batch: SpectraBatch
@@ -95,7 +95,7 @@ def _about(index: Any) -> dict[str, Any]:
 
 
 @job
-def indices(spectra: "SpectraSource", request: IndicesRequest | None = None, **options: Any) -> FoundIndices:
+def indices(spectra: "SpectraSource", request: IndicesRequest | None = None, **options: Any) -> MeasuredIndices:
     """Spectral indices of the Moon: integrated band depths, slopes, olivine, spinel, maturity, FeO and TiO2.
 
     Raises DataError when no spectrum can be read, or no index reaches any of them; RequestError for an unknown name.
@@ -119,4 +119,4 @@ def indices(spectra: "SpectraSource", request: IndicesRequest | None = None, **o
             f"{batch.origins[0]}: no channels where an index needs them; these need reflectances from {needs[0]} to "
             f"{needs[-1]} nm, with channels at most 60 nm apart"
         )
-    return FoundIndices(batch, result)
+    return MeasuredIndices(batch, result)

@@ -67,7 +67,7 @@ class ComparedDrive(Result):
 
     schema = "twin-compare/1"
     matched: MatchedObservations
-    found: DriveComparison
+    comparison: DriveComparison
     states: str
     rover: str
     pace: WheelPace | None
@@ -86,7 +86,7 @@ class ComparedDrive(Result):
     @property
     def untrusted(self) -> str:
 
-        reasons, predicted = self.found.reasons, str(self.matched.forecast.soil.get("doubt") or "")
+        reasons, predicted = self.comparison.reasons, str(self.matched.forecast.soil.get("doubt") or "")
         paced, states = self.pace.doubt if self.pace else "", self.matched.record.doubt
         driven = f"another drive than the predicted one: {paced}" if paced else ""
         measured = f"doubtful states: {states}" if states else ""
@@ -101,11 +101,11 @@ class ComparedDrive(Result):
     def verdict(self) -> str:
         """That of the comparison; `doubtful` where it speaks for the prediction, of a drive that is doubtful."""
         doubtful = self.questions or self.matched.record.doubt or (self.pace is not None and self.pace.off)
-        return "doubtful" if doubtful and not self.found.reasons else self.found.verdict
+        return "doubtful" if doubtful and not self.comparison.reasons else self.comparison.verdict
 
     def to_dict(self) -> dict[str, Any]:
 
-        forecast, comparison = self.matched.forecast, self.found
+        forecast, comparison = self.matched.forecast, self.comparison
         whole, miss = comparison.surprise, miss_of(self.matched)
         return {
             "verdict": self.verdict,
@@ -136,14 +136,14 @@ class ComparedDrive(Result):
 
     def rows(self) -> list[dict[str, Any]]:
         """One a quantity, of all wheels and of each."""
-        return [_band_row(check, self.found) for check in self.found.bands]
+        return [_band_row(check, self.comparison) for check in self.comparison.bands]
 
     def figures(self) -> "Iterator[Figure]":
 
         from lunarsci.twin.figures.comparison import comparison_figure
 
         title = f"{file_label(str(self.matched.forecast.origin))} beside {file_label(self.states)}"
-        yield comparison_figure(self.matched, self.found, title, self.verdict)
+        yield comparison_figure(self.matched, self.comparison, title, self.verdict)
 
 
 @job
@@ -193,7 +193,7 @@ def compare(
         )
     return ComparedDrive(
         matched=matched,
-        found=comparison,
+        comparison=comparison,
         states=source.name,
         rover=rover,
         pace=pace_of(record, built, forecast.plan),

@@ -128,8 +128,8 @@ def compare_trials(
         except LunarSciError as error:
             failed.append(Failure.of(name, error))
         else:
-            inputs |= measured.known.inputs
-            tables |= measured.known.tables
+            inputs |= measured.inputs.inputs
+            tables |= measured.inputs.tables
         if progress is not None:
             progress(number + 1, len(names))
     if not scores:
@@ -169,7 +169,7 @@ def _measured(name: str, asked: TrialsRequest) -> MeasuredStates:
 
 def _scored(name: str, measured: MeasuredStates, given: GivenSoil, soils: TrialSoils, seed: int) -> TrialScore:
 
-    inputs, drive, tables = measured.known, measured.drive, measured.tables
+    inputs, drive, tables = measured.inputs, measured.drive, measured.tables
     inputs.check.belief(given.name, given.belief)
     motion = read_motion(_file(name, tables["motion.csv"]), inputs.rover)
     begin = float(motion.time_s[0])

@@ -51,55 +51,55 @@ class MotionLoads(Result):
 
     Attributes
     ----------
-    known, motion : what moved where, and the motion's file.
-    found : poses, wheel states and the residual wrench.
+    inputs, motion : what moved where, and the motion's file.
+    forces : poses, wheel states and the residual wrench.
     wheels : summary of each wheel.
     """
 
     schema = "twin-forces/1"
-    known: DriveInputs
+    inputs: DriveInputs
     motion: InputFile
-    found: PrescribedLoads
+    forces: PrescribedLoads
     wheels: Sequence[WheelLoads]
 
     @property
     def made_from(self) -> MadeFrom:
 
-        inputs = self.known
+        inputs = self.inputs
         return MadeFrom(inputs=inputs.inputs, tables=inputs.tables, sources=SOURCES, options=inputs.options)
 
     @property
     def untrusted(self) -> str:
-        return "; ".join(filter(None, (*map(str, self.known.questions), self.found.doubt)))
+        return "; ".join(filter(None, (*map(str, self.inputs.questions), self.forces.doubt)))
 
     @property
     def title(self) -> str:
         """What the forces are of, for tables and pictures."""
-        poses = f"{len(self.found.motion.time_s)} poses on {self.known.terrain.name}"
+        poses = f"{len(self.forces.motion.time_s)} poses on {self.inputs.terrain.name}"
         return f"Wheel forces along {self.motion.name}, {poses}"
 
     @property
     def missing(self) -> dict[str, float] | None:
         """The residual wrench over all poses; None where no pose has forces."""
-        return _missing(self.found) if self.wheels else None
+        return _missing(self.forces) if self.wheels else None
 
     def to_dict(self) -> dict[str, Any]:
 
-        result = {"of": "motion", "members": 1, "missing": self.missing, "soil": self.known.soil_record()}
-        return load_record(self.known, self.wheels) | result
+        result = {"of": "motion", "members": 1, "missing": self.missing, "soil": self.inputs.soil_record()}
+        return load_record(self.inputs, self.wheels) | result
 
     def rows(self) -> list[dict[str, Any]]:
         """One a pose and wheel."""
 
-        return list(held_table(self.found).to_dict("records"))  # type: ignore[arg-type]
+        return list(held_table(self.forces).to_dict("records"))  # type: ignore[arg-type]
 
     def figures(self) -> "Iterator[Figure]":
 
         from lunarsci.twin.figures.wheel_states import force_figure
 
-        result, title = self.found, self.title.replace(name := self.motion.name, Path(name).name)
-        drawn = (self.known.rover.wheels, (result.motion.time_s, "time [s]"), result.states, title, result.residual_n)
-        yield force_figure(*drawn, synthetic=self.known.terrain.synthetic)
+        result, title = self.forces, self.title.replace(name := self.motion.name, Path(name).name)
+        drawn = (self.inputs.rover.wheels, (result.motion.time_s, "time [s]"), result.states, title, result.residual_n)
+        yield force_figure(*drawn, synthetic=self.inputs.terrain.synthetic)
 
 
 def _missing(result: PrescribedLoads) -> dict[str, float]:
@@ -120,18 +120,18 @@ class UncertainLoads(Result):
 
     Attributes
     ----------
-    known, given : what moved where; the files of motion, states and belief by name of the option.
+    inputs, given : what moved where; the files of motion, states and belief by name of the option.
     states : measured states that get the forces, None where none are given.
-    found, turned : forces of all wheels before and after the balance; forces and soil in turn, None where not asked.
+    forces, turned : forces of all wheels before and after the balance; forces and soil in turn, None where not asked.
     draws, correlation_m, basis, balance_error, seed : what was drawn; what the correlation length rests on.
     doubt_of_belief : why that is doubtful; empty where it is not.
     """
 
     schema = "twin-forces/1"
-    known: DriveInputs
+    inputs: DriveInputs
     given: dict[str, InputFile]
     states: PoseStates | None
-    found: LoadEnsemble
+    forces: LoadEnsemble
     turned: AlternatingEstimate | None
     draws: int
     correlation_m: float
@@ -143,21 +143,21 @@ class UncertainLoads(Result):
     @property
     def made_from(self) -> MadeFrom:
 
-        inputs = self.known
+        inputs = self.inputs
         tables = inputs.tables | ({} if "belief" in self.given else prior_hash())
         sources = [*SOURCES, *METHODS]
         return MadeFrom(inputs=inputs.inputs, tables=tables, sources=sources, seed=self.seed, options=inputs.options)
 
     @property
     def untrusted(self) -> str:
-        of_forces = self.found.doubt or (self.found.doubt_of_soils if self.turned is None else self.turned.doubt)
-        return "; ".join(part for part in (*map(str, self.known.questions), of_forces, self.doubt_of_belief) if part)
+        of_forces = self.forces.doubt or (self.forces.doubt_of_soils if self.turned is None else self.turned.doubt)
+        return "; ".join(part for part in (*map(str, self.inputs.questions), of_forces, self.doubt_of_belief) if part)
 
     @property
     def title(self) -> str:
         """What the forces are of, for tables and pictures."""
-        poses = f"{int(self.found.with_forces.sum())} of {len(self.found.with_forces)} poses"
-        return f"Wheel forces along {self.given['motion'].name}, {poses}, on {self.known.terrain.name}"
+        poses = f"{int(self.forces.with_forces.sum())} of {len(self.forces.with_forces)} poses"
+        return f"Wheel forces along {self.given['motion'].name}, {poses}, on {self.inputs.terrain.name}"
 
     @property
     def belief(self) -> SoilBelief | None:
@@ -177,7 +177,7 @@ class UncertainLoads(Result):
 
     def to_dict(self) -> dict[str, Any]:
 
-        inputs, result, belief = self.known, self.found, self.given.get("belief")
+        inputs, result, belief = self.inputs, self.forces, self.given.get("belief")
         driven = DrivenSoil("priors", "priors") if belief is None else DrivenSoil(belief.name, "belief")
         uncertain = result.held.motion.sigmas is not None
         return inputs.about() | {
@@ -197,19 +197,19 @@ class UncertainLoads(Result):
     def rows(self) -> list[dict[str, Any]]:
         """One a measured state, or a pose and wheel."""
 
-        return list(force_table(self.found, self.states).to_dict("records"))  # type: ignore[arg-type]
+        return list(force_table(self.forces, self.states).to_dict("records"))  # type: ignore[arg-type]
 
     def files(self) -> dict[str, Callable[[], bytes]]:
         """`forces.csv`, an input of `identify`: name to what makes the content."""
 
-        return {"forces.csv": lambda: csv_bytes(force_table(self.found, self.states))}
+        return {"forces.csv": lambda: csv_bytes(force_table(self.forces, self.states))}
 
     def figures(self) -> "Iterator[Figure]":
 
         from lunarsci.twin.figures.wheel_states import force_band_figure
 
         title = self.title.replace(motion := self.given["motion"].name, Path(motion).name)
-        yield force_band_figure(self.found, title, synthetic=self.known.terrain.synthetic)
+        yield force_band_figure(self.forces, title, synthetic=self.inputs.terrain.synthetic)
 
 
 @job
@@ -240,7 +240,7 @@ def loads(
         return _uncertain(inputs, files, poses, asked, progress)
     result = prescribed_loads(inputs.rover, inputs.terrain, poses)
     loads, moved = wheel_loads(inputs.rover.wheels, result.states), files["motion"]
-    return MotionLoads(known=inputs, motion=moved, found=result, wheels=loads)
+    return MotionLoads(inputs=inputs, motion=moved, forces=result, wheels=loads)
 
 
 def _uncertain(
@@ -267,10 +267,10 @@ def _uncertain(
         middle = {name: value for name, (value, _, _) in belief.intervals().items()}
         result = draw_loads(*drive, belief.draws(draws, seed), middle, **drawn)
     return UncertainLoads(
-        known=inputs,
+        inputs=inputs,
         given=files,
         states=states,
-        found=result,
+        forces=result,
         turned=turned,
         draws=draws,
         correlation_m=length,

@@ -94,12 +94,13 @@ def last_pose(path: str) -> tuple[float, float, float]:
             raise DataError(f"{path}: no column {name}; a start is read of motion.csv of `twin states`, or X,Y,HEADING")
     columns = {name: numbers_of(path, name, table[name]) for name in ("time_s", "x_m", "y_m", "yaw_deg")}
     member = numbers_of(path, "member", table["member"]) if "member" in table else np.zeros(len(table))
-    known = np.isfinite(np.column_stack([*columns.values(), member])).all(axis=1)
-    if not known.any():
+    complete = np.isfinite(np.column_stack([*columns.values(), member])).all(axis=1)
+    if not complete.any():
         raise DataError(f"{path}: no row with a whole pose; is the file complete?")
-    time = np.where(known, columns["time_s"], -np.inf)
+    time = np.where(complete, columns["time_s"], -np.inf)
     last = [
-        own[np.argmax(time[own])] for own in (np.flatnonzero(known & (member == k)) for k in np.unique(member[known]))
+        rows[np.argmax(time[rows])]
+        for rows in (np.flatnonzero(complete & (member == k)) for k in np.unique(member[complete]))
     ]
     x, y = (float(np.median(columns[name][last])) for name in ("x_m", "y_m"))
     yaw = np.radians(columns["yaw_deg"][last])

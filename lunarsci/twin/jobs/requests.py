@@ -250,12 +250,12 @@ class PlanRequest(GroundRequest):
             return ()
         if not (folder := Path(self.start)).is_dir():
             return (self.start,)
-        found = next((name for name in ("motion.csv", "paths.csv") if (folder / name).is_file()), None)
-        if found is None:
+        table = next((name for name in ("motion.csv", "paths.csv") if (folder / name).is_file()), None)
+        if table is None:
             raise RequestError(
                 f"`start` {self.start}: no motion.csv or paths.csv in it; give a folder of `twin states`"
             )
-        return (str(folder / found),)
+        return (str(folder / table),)
 
     def input_files(self) -> tuple[str, ...]:
         limits = () if self.limits is None else (self.limits,)

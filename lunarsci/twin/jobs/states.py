@@ -39,7 +39,7 @@ class MeasuredStates(Result):
 
     Attributes
     ----------
-    known : what drove where.
+    inputs : what drove where.
     name : of the telemetry.
     planned : whether clock and commands were compared with a plan.
     drive : the states, the motion, and what was found wrong with the telemetry.
@@ -47,7 +47,7 @@ class MeasuredStates(Result):
     """
 
     schema = "twin-states/1"
-    known: DriveInputs
+    inputs: DriveInputs
     name: str
     planned: bool
     drive: DriveStates
@@ -56,7 +56,7 @@ class MeasuredStates(Result):
     @property
     def made_from(self) -> MadeFrom:
 
-        inputs = self.known
+        inputs = self.inputs
         return MadeFrom(
             inputs=inputs.inputs, tables=inputs.tables, sources=[*SOURCES, SMOOTHER], options=inputs.options
         )
@@ -69,14 +69,14 @@ class MeasuredStates(Result):
     def title(self) -> str:
         """What the states are of, for tables and pictures."""
         mark = " (synthetic)" if self.drive.telemetry.synthetic else ""
-        return f"Wheel states from {self.name}{mark}, on {self.known.terrain.name}"
+        return f"Wheel states from {self.name}{mark}, on {self.inputs.terrain.name}"
 
     def to_dict(self) -> dict[str, Any]:
 
         drive, rows = self.drive, self.drive.rows
-        return self.known.about() | {
+        return self.inputs.about() | {
             "synthetic": drive.telemetry.synthetic,
-            "plan": self.known.plan.name if self.planned else None,
+            "plan": self.inputs.plan.name if self.planned else None,
             "states": int(rows.slip_ratio.size),
             "measured": int(rows.measured.sum()),
             "valid": int(rows.valid.sum()),
@@ -116,7 +116,7 @@ class MeasuredStates(Result):
 
         from lunarsci.twin.figures.wheel_states import states_page
 
-        yield states_page(self.drive, self.known.terrain, self.title.replace(self.name, file_label(self.name)))
+        yield states_page(self.drive, self.inputs.terrain, self.title.replace(self.name, file_label(self.name)))
 
 
 @job
@@ -154,7 +154,7 @@ def states(
     )
     if asked.track is not None:
         drive = with_sinkage(drive, _read_track(inputs, asked.track), inputs.terrain)
-    return MeasuredStates(known=inputs, name=source.name, planned=plan is not None, drive=drive, put_back_s=asked.lag)
+    return MeasuredStates(inputs=inputs, name=source.name, planned=plan is not None, drive=drive, put_back_s=asked.lag)
 
 
 def _read_track(inputs: DriveInputs, track: Any) -> RutPoints | Terrain:

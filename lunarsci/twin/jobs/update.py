@@ -90,8 +90,8 @@ class LearnedSoil(Result):
 
     Attributes
     ----------
-    known, record, states : what drove where, what was measured of it without positions, and its file.
-    before, found : what was believed before, and what the drive says of one soil.
+    inputs, record, states : what drove where, what was measured of it without positions, and its file.
+    before, update : what was believed before, and what the drive says of one soil.
     changes : of the soil along the way.
     segments, soil_map : stretches with a soil each, and the map with them; None where the soil is not kept by place.
     pace : how fast the wheels turned beside the plan; None where the states do not say.
@@ -100,11 +100,11 @@ class LearnedSoil(Result):
     """
 
     schema = "twin-update/1"
-    known: DriveInputs
+    inputs: DriveInputs
     record: DriveRecord
     states: InputFile
     before: Before
-    found: SoilUpdate
+    update: SoilUpdate
     changes: list[SoilChange]
     segments: list[Segment] | None
     soil_map: SoilMap | None
@@ -115,24 +115,24 @@ class LearnedSoil(Result):
     @property
     def belief(self) -> SoilBelief:
         """After the drive."""
-        return self.found.belief
+        return self.update.belief
 
     @property
     def made_from(self) -> MadeFrom:
 
-        inputs = self.known
+        inputs = self.inputs
         tables, sources = inputs.tables | prior_hash(), [*SOURCES, SAMPLER]
         return MadeFrom(inputs=inputs.inputs, tables=tables, sources=sources, seed=self.seed, options=inputs.options)
 
     @property
     def untrusted(self) -> str:
-        asked = [*map(str, self.known.questions)]
+        asked = [*map(str, self.inputs.questions)]
         if self.segments is not None:
             if not any(segment.learned for segment in self.segments):
                 return f"nothing was learned: {self.segments[0].why_not}"
-        elif self.found.refused:
+        elif self.update.refused:
             return "; ".join(
-                [*asked, f"nothing was learned: {self.found.refused}", *(change.text for change in self.changes)]
+                [*asked, f"nothing was learned: {self.update.refused}", *(change.text for change in self.changes)]
             )
         return "; ".join(part for part in (*asked, *self.doubts, self.before.doubt) if part)
 
@@ -144,7 +144,7 @@ class LearnedSoil(Result):
     @property
     def doubts(self) -> list[str]:
         """Why what was learned is doubtful, each reason once."""
-        parts = [self.found] if self.segments is None else [one.update for one in self.segments if one.learned]
+        parts = [self.update] if self.segments is None else [one.update for one in self.segments if one.learned]
         texts = [self.record.doubt, self.pace.doubt if self.pace else "", *(part.doubt for part in parts if part)]
         leans = [self.slip] if self.segments is None else [one.slip for one in self.segments]
         texts += [lean.doubt for lean in leans if lean]
@@ -152,7 +152,7 @@ class LearnedSoil(Result):
 
     def to_dict(self) -> dict[str, Any]:
 
-        learned, soil_map = self.found, self.soil_map
+        learned, soil_map = self.update, self.soil_map
         return {
             "parameters": parameter_rows(learned.belief),
             "contact": contact_rows(learned.belief) or None,
@@ -173,15 +173,15 @@ class LearnedSoil(Result):
             "drives": len(learned.belief.history),
             "discrepancy": learned.belief.discrepancy.to_dict(),
             "changes": [asdict(change) | {"text": change.text} for change in self.changes],
-            "made_for": self.known.made_for,
-            "rover": self.known.rover.name,
-            "mass_kg": self.known.rover.mass_kg,
+            "made_for": self.inputs.made_for,
+            "rover": self.inputs.rover.name,
+            "mass_kg": self.inputs.rover.mass_kg,
             "soil": self._soil_record(),
             "zones": None if self.segments is None else [segment.to_dict() for segment in self.segments],
             "map": None
             if soil_map is None
             else {"zones": len(soil_map.zones), "correlation_m": soil_map.correlation_m},
-        } | asked_in(self.known.questions)
+        } | asked_in(self.inputs.questions)
 
     def _soil_record(self) -> dict[str, Any]:
         """Where the soils come from that the drive was tried on."""
@@ -189,7 +189,7 @@ class LearnedSoil(Result):
         driven, before = DrivenSoil("priors", "priors"), self.before
         if before.file is not None:
             driven = DrivenSoil(before.file.name, "belief" if before.soil_map is None else "map")
-        return soil_record(driven, self.known.terrain, PARAMETERS)
+        return soil_record(driven, self.inputs.terrain, PARAMETERS)
 
     def rows(self) -> list[dict[str, Any]]:
         """One a parameter."""
@@ -201,11 +201,11 @@ class LearnedSoil(Result):
         from lunarsci.regolith.figure import belief_figure
         from lunarsci.twin.figures.maps import residual_page, soil_pages
 
-        title, synthetic = f"soil after {as_label(self.known.plan.name)}", self.known.terrain.synthetic
+        title, synthetic = f"soil after {as_label(self.inputs.plan.name)}", self.inputs.terrain.synthetic
         yield belief_figure(self.belief, title, synthetic=synthetic)
-        yield residual_page(self.record, self.found, self.changes)
+        yield residual_page(self.record, self.update, self.changes)
         if self.soil_map is not None:
-            yield from soil_pages(soil_layers(self.soil_map, self.known.terrain), self.soil_map)
+            yield from soil_pages(soil_layers(self.soil_map, self.inputs.terrain), self.soil_map)
 
     def map_bytes(self) -> bytes:
         """The soil map after the drive, as JSON. Raises RequestError where the soil is not kept by place."""
@@ -215,7 +215,7 @@ class LearnedSoil(Result):
     def terrain_bytes(self) -> bytes:
         """The terrain with the map's median soil at every node, as .npz. Raises RequestError as `map_bytes`."""
 
-        layers = soil_layers(self._map(), self.known.terrain)
+        layers = soil_layers(self._map(), self.inputs.terrain)
         return terrain_bytes(layers.terrain, sd_ratio=layers.sd_ratio)
 
     def _map(self) -> SoilMap:
@@ -272,7 +272,7 @@ def update(
         zones = [_zone(segment, line) for segment in segments if segment.learned]
         soil_map = before.soil_map.with_zones(zones)
     return LearnedSoil(
-        known=inputs, record=along, states=source, before=before, found=learned, changes=changes, segments=segments,
+        inputs=inputs, record=along, states=source, before=before, update=learned, changes=changes, segments=segments,
         soil_map=soil_map, seed=asked.seed, pace=pace, slip=slip,
     )  # fmt: skip
 

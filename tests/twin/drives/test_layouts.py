@@ -139,7 +139,7 @@ def test_states_of_a_trial_are_those_that_were_made(tmp_path: Path) -> None:
     for wheel in result["wheels"].values():
         assert wheel["slip_ratio"]["median"] == pytest.approx(true, abs=0.02)
         assert wheel["side_slip_deg"]["median"] == pytest.approx(0.0, abs=0.5)
-    assert str(tmp_path / "Trial_1/Processed_Data.csv") in found.known.inputs
+    assert str(tmp_path / "Trial_1/Processed_Data.csv") in found.inputs.inputs
     moon = states(tmp_path / "Trial_1", gravity="moon").to_dict()
     assert moon["gravity_m_s2"] == pytest.approx(1.622, abs=0.01)
 
