@@ -38,7 +38,6 @@ NO_FIELDS = {"output", "save_terrain"}
 WITH_DASHES = {
     "lunarsci/figure.py", "lunarsci/images/jobs/locate.py", "lunarsci/pages/documents.py",
     "lunarsci/spectra/origin/composition.py", "lunarsci/spectra/readers/libraries.py",
-    "lunarsci/twin/ground/finer_ground.py",
 }  # fmt: skip
 """Modules of which an error names an option of commands, or of another program, as it is typed."""
 
