@@ -51,7 +51,7 @@ QUICK = {
     "rovers": "rovers",
     "spectra": "continuum noise photometry solar spectrum",
     "mgm": "covariance lanes",
-    "abundance": "hapke known_modes",
+    "abundance": "mixing",
     "chemistry": "bands",
     "cubes": "rasters regions",
     "vnis": "channels detector observation splice",

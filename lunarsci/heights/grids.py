@@ -181,11 +181,12 @@ def _read_archive(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) 
         x, y = x[0], y[:, 0]
     if height.shape != (y.size, x.size):
         raise DataError(f"height_m has shape {height.shape}; y_m and x_m say {(y.size, x.size)}")
+    spacing_m = spacing_of(x, y)
     return HeightGrid(
         name=str(arrays.get("name", path.stem)),
         x0_m=float(x[0]),
         y0_m=float(y[0]),
-        spacing_m=spacing_of(x, y),
+        spacing_m=spacing_m,
         height_m=height,
         layers={key: arrays[key] for key in layers if key in arrays},
         synthetic=bool(arrays.get("synthetic", False)),

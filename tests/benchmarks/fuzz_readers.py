@@ -199,7 +199,7 @@ def spectra_readers() -> dict[str, Reader]:
                                  [b"phase_deg,750,1500\n0,2,2\n30,1,1\n60,0.6,0.7\n"]),
         "channel factors": Reader(of_file("spectra.vnis.detector:read_channel_factors"), ["spoilt.csv"],
                                   [_factors()]),
-        "modes": Reader(of_file("spectra.abundance.known_modes:read_modes"), ["spoilt.csv"],
+        "modes": Reader(of_file("spectra.abundance.end_members:read_modes"), ["spoilt.csv"],
                         [b"id,olivine,orthopyroxene,clinopyroxene\nrock,0.3,0.4,0.3\n"]),
         "craters": Reader(of_file("spectra.origin.catalogue:read_catalogue"), ["spoilt.csv"],
                           [b"name,latitude_deg,longitude_deg,diameter_km\nA,17.2,144.7,28\nB,-42.0,-177.9,72\n"]),

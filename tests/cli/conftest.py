@@ -87,7 +87,7 @@ def once() -> Iterator[None]:
     """
     with pytest.MonkeyPatch.context() as patch:
         for name in ("fit", "unmix"):
-            module = importlib.import_module(f"lunarsci.cli.spectra.{name}")
+            module = importlib.import_module(f"lunarsci.spectra.jobs.{name}")
             patch.setattr(module, name, remembered(getattr(module, name)))
         yield
 

@@ -124,7 +124,7 @@ def test_the_first_table_is_the_shares(run: Run, mixtures: Path, tmp_path: Path)
         ("id,olivine,opx\nz,1,0\n", "none of its ids"),
         ("id,olivine,cpx\na,0.5,0.5\n", "name all, with shares of 1"),
         ("id,olivine,opx\na,0.5,0.2\n", "sum to 0.7"),
-        ("id,olivine,opx\na,0.5\n", "line 2 has 2 cells"),
+        ("id,olivine,opx\na,0.5\n", "the header has 3 names and the rows 2 fields"),
     ],
 )
 def test_tables_of_modes_that_do_not_fit_are_refused(

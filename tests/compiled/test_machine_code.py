@@ -115,7 +115,7 @@ def test_a_disk_that_takes_nothing_is_no_failure(
 def test_a_cache_that_others_can_write_is_said_and_not_used(
     load: Callable[[], ModuleType], tmp_path: Path, place: str, mode: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("lunarsci.compiled.machine_code._is_own_group", lambda number: False)
+    monkeypatch.setattr("lunarsci.compiled.machine_code._is_private_group", lambda number: False)
     _tell.cache_clear()
     load().twice(1.5)
     [folder] = tmp_path.glob(place)

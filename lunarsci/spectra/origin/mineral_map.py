@@ -148,6 +148,7 @@ def check_map(dataset: "DatasetReader", file: str, *, one_of_many: bool = False)
         "holds 8-bit numbers without a scale: a picture stretched for display, whose numbers are no modes; get the "
         "file with physical values, or set the band's scale and offset": kind in ("uint8", "int8") and plain,
         "holds complex numbers; a mode is a real one": kind.startswith("complex"),
+        "puts all pixels on one line; correct its geotransform": dataset.transform.is_degenerate,
         "has no coordinate system, and no bounds in degrees; give one that says where on the Moon it lies": not placed,
     }
     for fault, there in faults.items():

@@ -140,7 +140,11 @@ def rows_by_id(source: InputFile, key: str = "id") -> dict[str, tuple[int, dict[
     names = [name if key == "id" else name.casefold() for name in table.cells(key)]
     first = {name: row.line for name, row in zip(reversed(names), reversed(table.rows), strict=True)}
     again = [not name or first[name] != row.line for name, row in zip(names, table.rows, strict=True)]
-    table.refuse(np.array(again), key, f"each row has a {key} of its own; complete it, or keep one")
+    table.refuse(
+        np.array(again),
+        key,
+        f"each row has {'an id' if key == 'id' else f'a {key}'} of its own; complete it, or keep one",
+    )
     rows = zip(names, table.rows, strict=True)
     return {name: (row.line, dict(zip(table.names, row.fields, strict=True))) for name, row in rows}
 

@@ -230,7 +230,7 @@ def test_priors_of_a_file_take_the_place_of_the_default_ones() -> None:
         (b"[colour]\nmedian = 1\nsd = 1\n", "'colour' is not a soil parameter"),
         (b"[cohesion_pa]\nmedian = -1\nsd = 1\n", "prior's median is -1"),
         (b"[cohesion_pa]\nmedian = 1\n", "cohesion_pa"),
-        (b"[friction_angle_deg]\nmedian = 95\nsd = 1\n", "below 90 deg"),
+        (b"[friction_angle_deg]\nmedian = 95\nsd = 1\n", "above 0, below 90"),
         (b"[cohesion_pa]\nof = 'sqrt'\nmedian = 1\nsd = 1\n", "unknown"),
     ],
 )

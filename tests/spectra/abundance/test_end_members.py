@@ -90,15 +90,15 @@ def test_numbers_are_known_empty_cells_are_sought_and_zeros_beside_them_absent()
     ("text", "message"),
     [
         ("id,remark\na,b\n", "needs columns named after minerals"),
-        ("name,olivine\na,1\n", "has no column 'id'"),
+        ("name,olivine\na,1\n", "no column 'id'"),
         ("id,olivine,ol\na,1,0\n", "one of each"),
-        ("id,olivine\na,1\na,1\n", "comes twice"),
-        ("id,olivine\n,1\n", "line 2 has no id"),
+        ("id,olivine\na,1\na,1\n", "line 3, column 'id': 'a'; each row has an id of its own"),
+        ("id,olivine\n,1\n", "line 2, column 'id': ''"),
         ("id,olivine,cpx\na,1.5,0\n", "line 2, column olivine: '1.5' is no share"),
         ("id,olivine,cpx\na,much,0\n", "is no share"),
         ("id,olivine,cpx\na,nan,0\n", "is no share"),
         ("id,olivine,cpx\na,0.5,\n", "some shares are stated"),
-        ("id,olivine,cpx\na,0.5\n", "has 2 cells, the header 3"),
+        ("id,olivine,cpx\na,0.5\n", "the header has 3 names and the rows 2 fields"),
     ],
 )
 def test_faults_are_said_with_their_line(text: str, message: str) -> None:

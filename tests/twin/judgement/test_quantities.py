@@ -224,7 +224,7 @@ def test_a_plan_names_its_circles(tmp_path: Path) -> None:
     assert plan.exclusion_zones == (ExclusionZone("rock", 1.0, 2.5, 0.5),)
     assert [(limit.limit, limit.sense) for limit in plan.limits] == [(0.0, "at least"), (0.1, "at least")]
     for text, says in (
-        (DRIVE + CIRCLE.replace("0.5", "0"), "radius above 0"),
+        (DRIVE + CIRCLE.replace("0.5", "0"), "give a number above 0"),
         (DRIVE + CIRCLE.replace("x_m = 1\n", ""), "no x_m"),
         (DRIVE + CIRCLE.replace("[[", "[").replace("]]", "]"), "double brackets"),
         (DRIVE + CIRCLE.replace("2.5", "nan"), "finite"),

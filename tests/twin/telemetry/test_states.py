@@ -423,12 +423,6 @@ def test_units_of_an_ecsv_and_of_names_are_taken_as_they_say(drive: SyntheticDri
         read_telemetry(InputFile("a.ecsv", text.getvalue().encode()), yutu2, Findings("a.ecsv"))
 
 
-def test_parquet_without_pyarrow_says_what_to_install(yutu2: Rover, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
-    with pytest.raises(DataError, match=r"pip install 'lunarsci\[parquet\]'"):
-        read_telemetry(InputFile("a.parquet", b"PAR1"), yutu2, Findings("a.parquet"))
-
-
 @pytest.mark.parametrize("name", ["a.parquet", "a.ecsv"])
 def test_a_broken_file_is_a_data_error(yutu2: Rover, name: str) -> None:
     with pytest.raises(DataError, match="can be read"):
