@@ -1,9 +1,13 @@
 """Pictures of tracks, rocks, merged maps, elevation models, calibrated cameras and ties of stations."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse, Patch
 
 from lunarsci.arrays import FloatArray
 from lunarsci.figure import COLORS, DOT_STYLES, INK, LINE_STYLES, as_label, headline, legend_below, page
@@ -14,10 +18,6 @@ from lunarsci.images.localisation import Localised
 from lunarsci.images.matching import MATCHED, REASONS, StereoMatches
 from lunarsci.images.rocks import RockSurvey
 from lunarsci.images.tracks import TrackDepths, TrackProfile, places_on, unrolled
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 MARK, BAND = "#D55E00", "#9fb4c0"
 
@@ -169,8 +169,6 @@ def dem_figure(model: ElevationModel, matches: StereoMatches, pose: Pose) -> "Fi
 
 
 def _reasons(axis: "Axes", matches: StereoMatches) -> None:
-    from matplotlib.colors import ListedColormap
-    from matplotlib.patches import Patch
 
     axis.imshow(matches.reason, cmap=ListedColormap(REASON_COLOURS), vmin=-0.5, vmax=len(REASONS) - 0.5)
     axis.set_title("why there is no disparity")
@@ -289,7 +287,6 @@ def _ties_residuals(axis: "Axes", places: FloatArray, off: FloatArray, weights: 
 
 def _plan(axis: "Axes", result: Localised) -> None:
     """Stations by dead reckoning and by ties, with ellipses of 95 %, drawn larger where they would not be seen."""
-    from matplotlib.patches import Ellipse
 
     reckoned = np.array([s.pose.center_m[:2] for s in result.stations])
     now = np.array([p.center_m[:2] for p in result.poses])

@@ -6,9 +6,11 @@ a soil: each parameter before any drive and now, and after each drive.
 
 import textwrap
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 
 from lunarsci.arrays import FloatArray
 from lunarsci.figure import INK, as_label, headline, legend_below, name_points, page, wrapped
@@ -21,9 +23,6 @@ from lunarsci.regolith.prior import NINETY_FIVE, PARAMETERS, Law
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.traction import DESIGN_SLIP, Traction
 from lunarsci.regolith.wheel import ContactModel, ShearSign, Wheel
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 COLORS = dict(zip(KINDS, ("black", "#0072B2", "#009E73"), strict=True))
 MARKERS = dict(zip(KINDS, ("o", "^", "s"), strict=True))
@@ -372,7 +371,6 @@ def posterior_figure(
 
     Draws that are all one value have no density: their median and interval alone are drawn.
     """
-    from matplotlib.ticker import LogLocator
     from scipy.stats import gaussian_kde
 
     figure = page(1.9 * -(-len(rows) // 2))

@@ -9,14 +9,23 @@ from functools import cache, partial
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from lunarsci.constants import MGM, NBSR, PAPER
 from lunarsci.figure import picture_bytes, styled
+from lunarsci.images.jobs.dem import StereoTerrain, dem
+from lunarsci.images.jobs.render import render
+from lunarsci.images.rig_files import read_rig, rig_text
 from lunarsci.io.inputs import InputFile
 from lunarsci.io.tables import csv_bytes, table_hashes
+from lunarsci.pages.documents import document_of
+from lunarsci.pages.page import Page
+from lunarsci.pages.relief import drives
+from lunarsci.provenance import Provenance, plain
+from lunarsci.regolith.figure import characteristic_curves
 from lunarsci.regolith.identify import Assumptions, Identification, identify
 from lunarsci.regolith.soil import Soil, read_soil
 from lunarsci.regolith.states import read_states
@@ -26,26 +35,25 @@ from lunarsci.spectra.abundance.shares import PRIOR
 from lunarsci.spectra.bands import SpectrumBands, measure_bands
 from lunarsci.spectra.jobs.unmix import UnmixedSpectra, unmix
 from lunarsci.spectra.mgm.assemblages import TABLES
+from lunarsci.spectra.mgm.figure import band_pages, fit_pages
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.model import mgm_model
 from lunarsci.spectra.mgm.result import MgmFit
 from lunarsci.spectra.vnis.calibrate import calibrate
-from lunarsci.spectra.vnis.calibration import Calibration, to_ecsv
+from lunarsci.spectra.vnis.calibration import Calibration, calibration_pages, to_ecsv
 from lunarsci.spectra.vnis.channels import SPLICED_NM
 from lunarsci.spectra.vnis.detector import default_settings
 from lunarsci.spectra.vnis.observation import read_observation
 from lunarsci.spectra.vnis.simulation.instrument import Truth, simulate
 from lunarsci.spectra.vnis.simulation.scene import FULL_STRENGTH, Scene, SceneRock
 from lunarsci.spectra.vnis.simulation.template import product_files
+from lunarsci.twin.figures.prediction import path_fan
+from lunarsci.twin.ground.synthetic import synthetic_longji
+from lunarsci.twin.ground.terrain import terrain_bytes
 from lunarsci.twin.jobs.drive_inputs import DriveInputs, read_drive_inputs
 from lunarsci.twin.judgement.safety import Verdict, judge
 from lunarsci.twin.judgement.tables import state_table
 from lunarsci.twin.simulation.ensemble import Prediction, predict
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from lunarsci.images.jobs.dem import StereoTerrain
 
 SOIL = "longji"
 AHEAD_M, BEHIND_M, WIDTH_PX = (1.0, 0.0), 2.0, 400
@@ -66,11 +74,6 @@ class SeenGround:
 
 def _ground_ahead(seed: int) -> SeenGround | None:
     """Pictures of the terrain of the drive with a camera of few pixels, and heights from them; None without OpenCV."""
-    from lunarsci.images.jobs.dem import dem
-    from lunarsci.images.jobs.render import render
-    from lunarsci.images.rig_files import read_rig, rig_text
-    from lunarsci.twin.ground.synthetic import synthetic_longji
-    from lunarsci.twin.ground.terrain import terrain_bytes
 
     if find_spec("cv2") is None:
         return None
@@ -258,10 +261,6 @@ class Demonstration(Result):
 
     def _page(self, drawn: Mapping[str, Callable[[], bytes]]) -> bytes:
         """Findings and pictures as a page, with the ground of the drive; without time, as all its files."""
-        from lunarsci.pages.documents import document_of
-        from lunarsci.pages.page import Page
-        from lunarsci.pages.relief import drives
-        from lunarsci.provenance import Provenance, plain
 
         made, prediction = self.made_from, self.drive.prediction
         record = Provenance(command="lunarsci demo", tables=made.tables, sources=made.sources, seed=self.seed)
@@ -326,17 +325,14 @@ def _pictures(the_rock: StudiedRock, the_drive: PredictedDrive, soil: Identifica
         return picture_bytes(figures, Path(name))
 
     def calibration() -> bytes:
-        from lunarsci.spectra.vnis.calibration import calibration_pages
 
         return picture("calibration.png", calibration_pages([the_rock.calibration]))
 
     def bands() -> bytes:
-        from lunarsci.spectra.mgm.figure import band_pages
 
         return picture("bands.png", band_pages([the_rock.bands]))
 
     def fit() -> bytes:
-        from lunarsci.spectra.mgm.figure import fit_pages
 
         return picture("fit.png", fit_pages([the_rock.fit]))
 
@@ -344,13 +340,11 @@ def _pictures(the_rock: StudiedRock, the_drive: PredictedDrive, soil: Identifica
         return picture("shares.png", the_rock.shares.figures())
 
     def path() -> bytes:
-        from lunarsci.twin.figures.prediction import path_fan
 
         with styled():
             return picture("drive.png", [path_fan(the_drive.prediction, the_drive.verdict)])
 
     def curves() -> bytes:
-        from lunarsci.regolith.figure import characteristic_curves
 
         with styled():
             return picture("soil.png", [characteristic_curves(soil, synthetic=True)])

@@ -9,9 +9,16 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+from scipy.optimize import brentq
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
@@ -27,10 +34,6 @@ from lunarsci.twin.plans.path import planned_pose
 from lunarsci.twin.plans.plan import Plan, Sweep, read_plan
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.ensemble import Prediction, predict
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 SOIL, STAND_IN = "longji", "stand-in"
 PHI_DEG, K_Y_MM = (25.0, 55.0), (15.0, 45.0)
@@ -213,7 +216,6 @@ def _strong_soil(drives: Drives) -> Answer:
 
 def _turn(rolling: Rolling) -> float:
     """Downhill slope on which the slip is the same at both ends of phi. [deg]"""
-    from scipy.optimize import brentq
 
     weak, strong = map(_soil, PHI_DEG)
 
@@ -310,9 +312,6 @@ def _fans(prediction: Prediction) -> "Figure":
 
 
 def _scale(values: FloatArray) -> Any:
-    from matplotlib import colormaps
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import ListedColormap, Normalize
 
     # Beyond 0.88 colours would be too light on paper.
     colors = ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.88, 256)))
@@ -337,7 +336,6 @@ def _draw_fan(axes: "Axes", prediction: Prediction, parameter: str, members: Any
 
 def _draw_ends(axes: "Axes", prediction: Prediction, parameter: str, members: Any) -> None:
     """Enlarged about the destination, with the published circle and that which holds every end of all soils."""
-    from matplotlib.patches import Circle
 
     target = prediction.planned[-1, :2]
     values = prediction.parameters[parameter][members]
@@ -396,7 +394,6 @@ def _boxes(axes: "Axes", prediction: Prediction, parameter: str, quantity: str, 
 
 def _rolling(axes: "Axes", drives: Drives) -> None:
     """Steady rolling against the slope, and the medians on each ground: why the trend of the slip differs."""
-    from lunarsci.regolith.soil import read_soil
 
     rolling, soil = Rolling.of(drives.rover), read_soil(SOIL)
     slopes = np.linspace(0.0, 12.0, 25)

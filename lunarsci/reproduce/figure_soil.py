@@ -6,11 +6,15 @@ Monte Carlo draws behind the published standard deviations, as the histograms of
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
 from lunarsci.arrays import FloatArray
+from lunarsci.figure import headline, name_points, page
 from lunarsci.regolith import inversion
 from lunarsci.regolith.compare import ReferenceSoil, lateral_soils, reference_soils
 from lunarsci.regolith.forces import closed_form_forces, shear_sign_code
@@ -33,11 +37,6 @@ from lunarsci.reproduce.soil import (
     published_soil,
     stand_in_forces,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 SHEAR_MODULUS_M = 0.0178
 
@@ -109,7 +108,6 @@ LONGJI = ("Longji", "lunar soil, nominal")
 
 def soil_pages(wheel: Wheel) -> "Iterator[Figure]":
     """Three pages: panels a, b and d of Fig. 4; panel c, whose missions are many; and the histograms of Fig. S13."""
-    from lunarsci.figure import headline, name_points, page
 
     title = "Soil parameters at Longji after Fig. 4 of Ding et al. (2024)"
     figure = page(8.4)
@@ -133,7 +131,6 @@ def soil_pages(wheel: Wheel) -> "Iterator[Figure]":
 
 def _region(axes: "Axes", x: Sequence[float], y: Sequence[float], dots: Sequence[tuple[float, float]]) -> None:
     """The published rectangle and its dots."""
-    from matplotlib.patches import Rectangle
 
     corner, size = (min(x), min(y)), (max(x) - min(x), max(y) - min(y))
     axes.add_patch(Rectangle(corner, *size, facecolor=REGION, alpha=0.55, zorder=1, label="published region"))
@@ -278,7 +275,6 @@ def _lateral_curve(wheel: Wheel, modulus_mm: float, angle_deg: float, beta_deg: 
 
 
 def _histograms(wheel: Wheel) -> "Figure":
-    from lunarsci.figure import headline, page
 
     figure = page(3.1)
     panels = figure.subplots(1, 3)

@@ -3,22 +3,29 @@
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from matplotlib.figure import Figure
+
+from lunarsci.constants import PAPER
 from lunarsci.io.inputs import expand_inputs, read_input
+from lunarsci.io.tables import table_hashes
 from lunarsci.options import request_of
 from lunarsci.provenance import sha256
+from lunarsci.regolith.compare import reference_hash, reference_soils, sources_of
+from lunarsci.regolith.prior import prior_hash
+from lunarsci.regolith.soil import soil_hash
+from lunarsci.regolith.wheel import read_wheel
+from lunarsci.reproduce.drive import SOIL, Drives, drive_numbers, drive_pages, predicted_drives
+from lunarsci.reproduce.figure_soil import soil_pages
+from lunarsci.reproduce.numbers import VERDICTS, Number, published_hash
 from lunarsci.reproduce.requests import WORK, ReproduceRequest
+from lunarsci.reproduce.soil import soil_numbers
+from lunarsci.reproduce.spectra import TABLES, Rocks, boulders, fit_rocks, spectra_numbers, spectra_pages
 from lunarsci.result import MadeFrom, Result
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from lunarsci.reproduce.drive import Drives
-    from lunarsci.reproduce.numbers import Number
-    from lunarsci.reproduce.spectra import Rocks
-    from lunarsci.rovers import RoverDescription
-
+from lunarsci.rovers import RoverDescription, read_rover
+from lunarsci.spectra.readers.dispatch import read_spectra
+from lunarsci.twin.rover import build_rover
 
 Progress = Callable[[int, int], None]
 ROVER = "yutu2"
@@ -39,8 +46,6 @@ class Reproduction(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-        from lunarsci.constants import PAPER
-        from lunarsci.regolith.compare import reference_soils, sources_of
 
         options = {} if self.parts == ("spectra",) else {"rover": self.description.origin}
         soils = sources_of(reference_soils()) if "soil" in self.parts else []
@@ -49,7 +54,6 @@ class Reproduction(Result):
     @property
     def verdicts(self) -> dict[str, int]:
         """How many numbers have each verdict."""
-        from lunarsci.reproduce.numbers import VERDICTS
 
         counts = Counter(number.verdict for number in self.numbers)
         return {verdict: counts[verdict] for verdict in VERDICTS if counts[verdict]}
@@ -62,10 +66,6 @@ class Reproduction(Result):
         return [number.to_dict() for number in self.numbers]
 
     def figures(self) -> "Iterator[Figure]":
-        from lunarsci.regolith.wheel import read_wheel
-        from lunarsci.reproduce.drive import drive_pages
-        from lunarsci.reproduce.figure_soil import soil_pages
-        from lunarsci.reproduce.spectra import spectra_pages
 
         pages: dict[str, Callable[[], Any]] = {
             "spectra": lambda: spectra_pages(self.rocks),
@@ -80,8 +80,6 @@ def reproduce(
     request: ReproduceRequest | None = None, *, progress: Progress | None = None, **options: Any
 ) -> Reproduction:
     """Compute the numbers of a part, or of all, and judge them by those that are published."""
-    from lunarsci.reproduce.numbers import published_hash
-    from lunarsci.rovers import read_rover
 
     asked = request_of(ReproduceRequest, request, options)
     update = progress or (lambda done, total: None)
@@ -108,9 +106,6 @@ def _within(update: Progress, before: int, share: int, total: int) -> Progress:
 
 
 def _with_spectra(made: Reproduction, rocks: Sequence[str], update: Progress) -> Reproduction:
-    from lunarsci.io.tables import table_hashes
-    from lunarsci.reproduce.spectra import TABLES, boulders, fit_rocks, spectra_numbers
-    from lunarsci.spectra.readers.dispatch import read_spectra
 
     sources = [read_input(path) for path in expand_inputs(rocks)]
     spectra = [spectrum for source in sources for spectrum in read_spectra(source)]
@@ -125,19 +120,12 @@ def _with_spectra(made: Reproduction, rocks: Sequence[str], update: Progress) ->
 
 
 def _with_soil(made: Reproduction) -> Reproduction:
-    from lunarsci.regolith.compare import reference_hash
-    from lunarsci.regolith.prior import prior_hash
-    from lunarsci.regolith.wheel import read_wheel
-    from lunarsci.reproduce.soil import soil_numbers
 
     numbers = made.numbers + soil_numbers(read_wheel(made.description))
     return replace(made, tables=made.tables | reference_hash() | prior_hash(), numbers=numbers)
 
 
 def _with_drive(made: Reproduction, update: Progress) -> Reproduction:
-    from lunarsci.regolith.soil import soil_hash
-    from lunarsci.reproduce.drive import SOIL, drive_numbers, predicted_drives
-    from lunarsci.twin.rover import build_rover
 
     drives = predicted_drives(build_rover(made.description), update)
     tables, numbers = made.tables | soil_hash(SOIL)[1], made.numbers + drive_numbers(drives)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
+from scipy.optimize import brentq
 
 from lunarsci.errors import LunarSciWarning, ParameterError
 from lunarsci.regolith.belief import first_belief
@@ -75,7 +76,6 @@ class Rolling:
 
 
 def _root(function: Callable[[float], float], span: tuple[float, float], text: str) -> float:
-    from scipy.optimize import brentq
 
     if function(span[0]) * function(span[1]) > 0:
         raise ParameterError(f"{text}; take another rover or soil")

@@ -7,18 +7,20 @@ fitted theirs, the averages too.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
+from lunarsci.figure import headline
 from lunarsci.reproduce.numbers import Answer, Number, judge, published_numbers, published_value
 from lunarsci.spectra.abundance.end_members import TABLE as END_MEMBERS
 from lunarsci.spectra.abundance.end_members import embedded_end_members
 from lunarsci.spectra.bands import SpectrumBands, measure_bands
 from lunarsci.spectra.chemistry.bands import plane_pages
 from lunarsci.spectra.mgm import DEFAULT_CONTINUUM
+from lunarsci.spectra.mgm.figure import fit_pages
 from lunarsci.spectra.mgm.fit import SPREAD_CONTINUA, fit_continua, fit_spectra
 from lunarsci.spectra.mgm.model import mgm_model
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
@@ -28,10 +30,6 @@ from lunarsci.spectra.origin.composition import Composition, Rock
 from lunarsci.spectra.origin.match import MatchSettings, RockMatch, match_rocks
 from lunarsci.spectra.origin.prior import CHANG_E_4, PriorSettings
 from lunarsci.spectra.spectrum import Spectrum, savitzky_golay_operator
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 SMOOTHED_POINTS = 41
 """Savitzky-Golay points of Ding et al. (2024)."""
@@ -312,8 +310,6 @@ PUBLISHED = "#c0392b"
 
 def spectra_pages(rocks: Rocks | None) -> "Iterator[Figure]":
     """The plane of the centres (Fig. 5b) and, with boulders, the fit of the one that fits best when smoothed (5c)."""
-    from lunarsci.figure import headline
-    from lunarsci.spectra.mgm.figure import fit_pages
 
     yield _plane(rocks)
     if rocks is not None:

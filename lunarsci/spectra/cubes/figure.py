@@ -5,9 +5,13 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 from lunarsci.arrays import FloatArray
 from lunarsci.constants import MOON_RADIUS_KM
@@ -15,10 +19,6 @@ from lunarsci.figure import PAGE_IN, TALLEST_IN, as_label, headline, page
 from lunarsci.spectra.cubes.cube import FLAGS, SYNTHETIC, PixelFrame
 from lunarsci.spectra.cubes.output import FLAG_LAYER, SUFFIXES, is_geographic
 from lunarsci.spectra.cubes.rasters import frame_of, netcdf, netcdf_frame, opened
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 FIRST = (
     "bd1000", "bc1000_nm", "bd2000", "bc2000_nm", "nbsr_um2_opx", "fit_rms_ln", "olivine", "orthopyroxene", "ibd1000",
@@ -141,9 +141,6 @@ def _pixels(path: Path, name: str, number: int, part: tuple[slice, ...]) -> Floa
 def _draw(
     figure: "Figure", panel: Any, image: FloatArray, layer: Mapping[str, Any] | None, extent: tuple[float, ...]
 ) -> None:
-    from matplotlib import colormaps
-    from matplotlib.colors import ListedColormap
-    from matplotlib.patches import Patch
 
     if layer is None:
         codes = _worst_flag(image)

@@ -1,18 +1,17 @@
 """The picture of a match: candidate craters around the site, and what prior and composition say of each."""
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
 
 from lunarsci.arrays import FloatArray
 from lunarsci.figure import INK, LETTER_PT, PAGE_IN, as_label, headline, legend_below, name_points, page
 from lunarsci.spectra.origin.catalogue import Point, azimuth_deg, destination, distance_km
 from lunarsci.spectra.origin.match import OTHER, CraterMatch, RockMatch
-
-if TYPE_CHECKING:
-    from matplotlib.colors import Normalize
-    from matplotlib.figure import Figure
 
 HOST, PRIOR = "0.45", "#bfc7cd"
 COLORS = "YlGnBu"
@@ -29,7 +28,6 @@ def match_pages(matches: Sequence[RockMatch], site: Point) -> "Iterator[Figure]"
 
     Maps are azimuthal equidistant about the site: distances and directions from it are true, circles are rims.
     """
-    from matplotlib.colors import Normalize
 
     for match in matches:
         scale = Normalize(0, max(0.05, *(item.posterior for item in match.craters)))
@@ -57,7 +55,6 @@ def _delivering(match: RockMatch) -> list[CraterMatch]:
 
 
 def _color(scale: "Normalize", posterior: float) -> Any:
-    from matplotlib import colormaps
 
     return colormaps[COLORS](PALEST + (1 - PALEST) * float(scale(posterior)))
 

@@ -4,10 +4,16 @@ import io
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib.animation import FFMpegWriter
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
+from PIL import Image
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import OutputError, ParameterError
@@ -30,11 +36,6 @@ from lunarsci.twin.judgement.safety import Verdict, headword
 from lunarsci.twin.judgement.tables import spread
 from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, Prediction
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-
 FORMATS = (".gif", ".mp4")
 MOST_FRAMES, PER_SECOND = 120, 12
 WIDTH_IN, HEIGHT_IN, DPI = 9.6, 5.4, 90
@@ -46,7 +47,6 @@ INSETS = ("tilt_deg", "slip_ratio")
 
 def check_format(target: Path) -> None:
     """Raise ParameterError for a film that cannot be written here: another suffix, or .mp4 without ffmpeg."""
-    from matplotlib.animation import FFMpegWriter
 
     suffix = target.suffix.lower()
     if suffix not in FORMATS:
@@ -98,7 +98,6 @@ def animate(
 
 def _gif(stage: "_Stage", samples: list[int], reported: Callable[[int], None]) -> bytes:
     """All frames in the colours of the last one, so that only what moves is stored again."""
-    from PIL import Image
 
     def drawn(sample: int) -> Image.Image:
         stage.show(sample)
@@ -117,7 +116,6 @@ def _gif(stage: "_Stage", samples: list[int], reported: Callable[[int], None]) -
 
 
 def _mp4(stage: "_Stage", samples: list[int], reported: Callable[[int], None]) -> bytes:
-    from matplotlib.animation import FFMpegWriter
 
     writer = FFMpegWriter(PER_SECOND, codec="libx264", extra_args=["-pix_fmt", "yuv420p", "-loglevel", "error"])
     with tempfile.TemporaryDirectory() as folder:
@@ -132,7 +130,6 @@ def _mp4(stage: "_Stage", samples: list[int], reported: Callable[[int], None]) -
 
 def _palette(pixels: npt.NDArray[np.uint8]) -> bytes:
     """Greys for the ground, and what represents the colourful pixels best, as red, green, blue of each."""
-    from PIL import Image
 
     flat = pixels.reshape(-1, 3)
     vivid = flat[np.ptp(flat, axis=1) > VIVID]
@@ -145,7 +142,6 @@ def _palette(pixels: npt.NDArray[np.uint8]) -> bytes:
 
 def _pixels(figure: "Figure") -> npt.NDArray[np.uint8]:
     """The figure as red, green, blue and opacity. (height, width, 4)"""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()
@@ -164,7 +160,6 @@ class _Stage:
     """The picture whose moving parts are set for each sample."""
 
     def __init__(self, prediction: Prediction, verdict: Verdict) -> None:
-        from matplotlib.figure import Figure
 
         self.prediction = prediction
         self.member = median_member(prediction)
@@ -177,7 +172,6 @@ class _Stage:
         self.moving = self._parts()
 
     def _parts(self) -> dict[str, Any]:
-        from matplotlib.collections import LineCollection, PolyCollection
 
         ground, *insets = self.axes
         colors = np.array(member_colors(self.prediction), dtype=object)

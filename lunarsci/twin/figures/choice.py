@@ -2,9 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 
 from lunarsci.arrays import FloatArray
 from lunarsci.figure import INK, PAGE_IN, as_label, file_label, headline, legend_below, name_points, page, wrapped
@@ -17,10 +23,6 @@ from lunarsci.twin.judgement.designs import Design
 from lunarsci.twin.mission.mission import DrivenMission, MissionLeg, TargetFate
 from lunarsci.twin.plans.path import poses_along
 from lunarsci.twin.plans.plan import Plan
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 COLORS = "cividis_r"
 LEAST_SHOWN, MOST_SHOWN = 0.005, 1.0
@@ -59,9 +61,6 @@ def candidate_map(surface: Traversability, choice: DriveChoice) -> "Figure":
 
 
 def _scale() -> Any:
-    from matplotlib import colormaps
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import LogNorm
 
     return ScalarMappable(LogNorm(LEAST_SHOWN, MOST_SHOWN), colormaps[COLORS])
 
@@ -343,7 +342,6 @@ def _draw_leg(axes: "Axes", leg: MissionLeg) -> None:
 
 def _mark(axes: "Axes", driven: DrivenMission) -> None:
     """Start, localised places, targets, and circles."""
-    from matplotlib.patches import Circle
 
     start = driven.mission.start
     axes.plot(start.x_m, start.y_m, "o", color="white", markeredgecolor=INK, markersize=9, zorder=9, label="start")

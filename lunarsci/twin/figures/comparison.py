@@ -1,9 +1,13 @@
 """The picture of a prediction beside what happened: paths, ends, wheel states in their bands, and ranks."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Ellipse, Patch
 
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.figure import COLORS, INK, as_label, headline, legend_below, page
@@ -14,11 +18,6 @@ from lunarsci.twin.comparison.verdict import DriveComparison
 from lunarsci.twin.drives.replay import TrialScore
 from lunarsci.twin.figures.panels import ACCENT, GOLD, LABELS, LIMIT, wheel_dots
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 MOST_PATHS, MOST_POINTS = 200, 1500
 DRAWN_REGIONS = (0.5, 0.9, 0.95)
@@ -101,7 +100,6 @@ def _frame_map(axes: "Axes") -> None:
 
 def _draw_end(axes: "Axes", matched: MatchedObservations, comparison: DriveComparison) -> None:
     """The predicted places at the last position, their regions, the plan and what was measured."""
-    from matplotlib.patches import Ellipse
 
     if comparison.end is None:
         axes.text(0.5, 0.5, "no positions were measured", ha="center", va="center", transform=axes.transAxes)
@@ -178,8 +176,6 @@ def _percentiles(values: FloatArray) -> FloatArray:
 
 
 def _handles(matched: MatchedObservations) -> list[Any]:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
 
     ring: Any = {"markerfacecolor": "none", "markeredgecolor": LIMIT, "markersize": 6, "linewidth": 0}
     handles: list[Any] = [

@@ -1,10 +1,15 @@
 """Maps of terrain and ways on it, what one soil leaves unexplained along a way, and maps of the soils found."""
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
 
 from lunarsci.arrays import FloatArray
 from lunarsci.figure import INK, PAGE_IN, as_label, headline, legend_below, page
@@ -19,10 +24,6 @@ from lunarsci.twin.ground.soil_map import SoilLayers, SoilMap
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain, from_si
 from lunarsci.twin.plans.path import planned_pose
 from lunarsci.twin.routes.planner import PlannedPath
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 PATH, HAZARD, UNKNOWN = "#D55E00", "#B2182B", "#ffffff"
 MOST_NODES = 900
@@ -82,7 +83,6 @@ def _extent(terrain: Terrain) -> tuple[float, float, float, float]:
 
 def _draw_shadow(axes: "Axes", terrain: Terrain, lit: npt.NDArray[np.bool_]) -> None:
     """Ground in shadow, dark over the relief."""
-    from matplotlib.colors import ListedColormap
 
     dark = np.ma.masked_array(np.ones(lit.shape), mask=lit)
     axes.imshow(
@@ -162,7 +162,6 @@ def _draw_steps(axes: "Axes", surface: Traversability, every: tuple[slice, slice
 
 
 def _draw_traversability(axes: "Axes", surface: Traversability, every: tuple[slice, slice]) -> None:
-    from matplotlib import colormaps
 
     color_map = colormaps["cividis"].with_extremes(over=HAZARD, bad=UNKNOWN)
     axes.set_facecolor(UNKNOWN)
@@ -188,7 +187,6 @@ def _hatch(axes: "Axes", terrain: Terrain, hazard: npt.NDArray[np.bool_], every:
 
 
 def _draw_path(axes: "Axes", path: PlannedPath, terrain: Terrain, *, outline: bool) -> None:
-    from matplotlib.patches import Polygon
 
     poses = planned_pose(path.plan, np.linspace(0.0, path.plan.length_m, 400))
     axes.plot(poses[:, 0], poses[:, 1], color="white", linewidth=2.8, zorder=4)

@@ -1,8 +1,13 @@
 """What pictures of drives share: shaded relief, and bands of quantities against distance."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LightSource, Normalize
+from matplotlib.patches import Circle
 
 from lunarsci.arrays import IntArray
 from lunarsci.figure import DOT_STYLES, INK, LINE_STYLES, as_label
@@ -13,10 +18,6 @@ from lunarsci.twin.judgement.safety import Verdict
 from lunarsci.twin.judgement.tables import spread
 from lunarsci.twin.plans.plan import AT_LEAST
 from lunarsci.twin.simulation.ensemble import Prediction
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 
 ACCENT, LIMIT, GOLD = "#0072B2", "#B2182B", "#f4c430"
 """What was predicted; limits and what breaks them; where the drive shall end."""
@@ -32,9 +33,6 @@ def shown_members(prediction: Prediction) -> IntArray:
 
 
 def _scale(prediction: Prediction) -> Any:
-    from matplotlib import colormaps
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
 
     values = next(iter(prediction.parameters.values()))
     return ScalarMappable(Normalize(float(values.min()), float(values.max())), colormaps["viridis"])
@@ -73,7 +71,6 @@ def map_window(prediction: Prediction, terrain: Terrain, margin_m: float = MARGI
 
 def draw_shade(axes: "Axes", height: Any, spacing_m: float, **look: Any) -> None:
     """Shaded relief of heights, masked where there are none, in light from the upper left."""
-    from matplotlib.colors import LightSource
 
     # Matplotlib takes the first row for the north one.
     shade = LightSource(315, 35).hillshade(height.filled(float(height.mean()))[::-1], 4.0, spacing_m, spacing_m)[::-1]
@@ -115,7 +112,6 @@ def draw_planned(axes: "Axes", prediction: Prediction) -> None:
 
 def draw_exclusion_zones(axes: "Axes", prediction: Prediction) -> None:
     """The circles that the plan keeps out of."""
-    from matplotlib.patches import Circle
 
     for number, circle in enumerate(prediction.plan.exclusion_zones):
         center, name = (circle.x_m, circle.y_m), "keep out" if number == 0 else None

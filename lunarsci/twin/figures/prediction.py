@@ -1,9 +1,12 @@
 """Pictures of a prediction: the fan of its paths, profiles, and boxes of wheel states."""
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Ellipse
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.figure import INK, as_label, headline, legend_below, page
@@ -29,11 +32,6 @@ from lunarsci.twin.judgement.quantities import abscissa, along
 from lunarsci.twin.judgement.safety import Verdict, headword
 from lunarsci.twin.judgement.tables import available
 from lunarsci.twin.simulation.ensemble import Prediction
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 WHEELS = ("slip_ratio", "side_slip_deg", "sinkage_m")
 
@@ -110,7 +108,6 @@ def _draw_ends(axes: "Axes", prediction: Prediction, verdict: Verdict, terrain: 
 
 def _draw_spread(axes: "Axes", end: Endpoint) -> None:
     """Covering circle about the destination, mean of the ends, ellipses of 1 to 3 sigma and 95 %."""
-    from matplotlib.patches import Circle
 
     center, mean = (end.planned_x_m, end.planned_y_m), (end.x_m, end.y_m)
     radius = end.covering_radius_m
@@ -129,7 +126,6 @@ def _draw_spread(axes: "Axes", end: Endpoint) -> None:
 def _draw_ring(
     axes: "Axes", mean: tuple[float, float], ellipse: ErrorEllipse, sigma: float, width: float, style: str
 ) -> None:
-    from matplotlib.patches import Ellipse
 
     size = (2.0 * sigma * ellipse.semi_major_m, 2.0 * sigma * ellipse.semi_minor_m)
     look: dict[str, Any] = {"fill": False, "edgecolor": INK, "linewidth": width, "linestyle": style, "zorder": 5}

@@ -1,8 +1,11 @@
 """Pictures of wheel states along a drive: slip, side slip and sinkage found in telemetry, and wheel forces."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse
 
 from lunarsci.arrays import FloatArray
 from lunarsci.figure import INK, as_label, headline, legend_below, page
@@ -11,11 +14,6 @@ from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 from lunarsci.twin.simulation.prescribed_motion import LoadEnsemble
 from lunarsci.twin.telemetry.states import DriveStates
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 STATE_PANELS = ("slip_ratio", "side_slip_deg", "sinkage_m")
 MARGIN_M = 1.6
@@ -41,7 +39,6 @@ def states_page(drive: DriveStates, terrain: Terrain, title: str) -> "Figure":
 
 
 def _draw_map(axes: "Axes", drive: DriveStates, terrain: Terrain) -> None:
-    from matplotlib.patches import Ellipse
 
     places = drive.held.states[..., :2]
     points = np.vstack([places.reshape(-1, 2), drive.nodes.fix_m])
