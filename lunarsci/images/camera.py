@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
@@ -274,14 +275,12 @@ class Pose:
 
 def rotation_of(vector: npt.ArrayLike) -> FloatArray:
     """The rotation about a vector by its length, Rodrigues' formula. (3,) [rad] to (3, 3)"""
-    from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_rotvec(np.asarray(vector, dtype=float)).as_matrix())
 
 
 def vector_of(rotation: npt.ArrayLike) -> FloatArray:
     """The inverse of `rotation_of`. (3, 3) to (3,) [rad]"""
-    from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(np.asarray(rotation, dtype=float)).as_rotvec())
 

@@ -16,6 +16,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import block_diag
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray, huber_weights
 from lunarsci.errors import ParameterError
@@ -96,7 +98,6 @@ class ElevationModel:
 
     def at(self, key: str, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> FloatArray:
         """A layer between its nodes, bilinear; NaN outside and where one of the four is unknown."""
-        from scipy.ndimage import map_coordinates
 
         rows = (np.asarray(y_m, dtype=float) - self.y0_m) / self.spacing_m
         columns = (np.asarray(x_m, dtype=float) - self.x0_m) / self.spacing_m
@@ -135,7 +136,6 @@ class ElevationModel:
 
 def mean_about(values: FloatArray, width: float) -> FloatArray:
     """Mean of what is known under a Gaussian about each node; NaN where nothing is within four widths. (ny, nx)"""
-    from scipy.ndimage import gaussian_filter
 
     valid = np.isfinite(values)
     weight = gaussian_filter(valid.astype(float), width)
@@ -311,7 +311,6 @@ class _Stack:
         shift: FloatArray,
     ) -> "_Stack":
         """Models laid where they are thought to be: shifted by (k, 3), about which slopes are taken."""
-        from scipy.linalg import block_diag
 
         x, y, step = grid_m
         grid = np.meshgrid(x, y)

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import distance_transform_edt, map_coordinates, median
 
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
@@ -139,7 +140,6 @@ def _spread_of_means(
 
 def _medians(cell: npt.NDArray[np.int64], z: FloatArray, shape: tuple[int, int]) -> FloatArray:
     """Median height of each cell, NaN where it has none. (ny, nx)"""
-    from scipy.ndimage import median
 
     medians, places = np.full(shape[0] * shape[1], np.nan), np.unique(cell)
     medians[places] = median(z, cell, places)
@@ -215,7 +215,6 @@ def _common_errors(
 def _of_points(rig: StereoRig, pose: Pose, height: FloatArray, grid: tuple[float, float, float]) -> FloatArray:
     """Covariance of the place of what is seen at each node, from the rig's: exact at some nodes, linear between them;
     where no height is known it is that of the nearest one. (ny, nx, 3, 3) [m2]"""
-    from scipy.ndimage import map_coordinates
 
     rows, columns = (np.arange(0, size + COMMON_NODES - 1, COMMON_NODES) for size in height.shape)
     filled = _nearest(height)[
@@ -232,7 +231,6 @@ def _of_points(rig: StereoRig, pose: Pose, height: FloatArray, grid: tuple[float
 
 def _nearest(values: FloatArray) -> FloatArray:
     """Values with those that are NaN taken from the nearest that is known. (ny, nx)"""
-    from scipy.ndimage import distance_transform_edt
 
     place = distance_transform_edt(np.isnan(values), return_distances=False, return_indices=True)
     return np.asarray(values[tuple(place)])

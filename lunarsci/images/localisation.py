@@ -15,6 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray, huber_weights
 from lunarsci.errors import DataError
@@ -152,7 +154,6 @@ def adjust(
 
     Raises DataError where the equations have no answer.
     """
-    from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
     bundle = _Bundle(tuple(poses), tuple(covariances), rig, tuple(pairs))
     state = _Unknowns(tuple(start or poses), np.zeros(len(PARAMETERS)), np.zeros((len(pairs), 2)), (1.0,) * len(pairs))
@@ -356,7 +357,6 @@ class Transferred(NamedTuple):
 def transfer(near: Station, pose: Pose, far: Station, far_pose: Pose) -> Transferred:
     """Lay what the nearer station sees into the view of the farther one: the mean of what falls into a pixel, and the
     place that falls nearest to its middle."""
-    from scipy.ndimage import gaussian_filter
 
     frame, matches = far.matches.rectified, near.matches
     pixels = np.argwhere(np.isfinite(matches.disparity) & (matches.disparity > 0))
@@ -516,7 +516,6 @@ def original_px(frame: Rectified, rig: StereoRig, places: FloatArray, *, right: 
 
 def _at(values: FloatArray, places: FloatArray) -> FloatArray:
     """Values (h, w, k) at (u, v) (n, 2), bilinear; NaN where one of the four is unknown. (n, k)"""
-    from scipy.ndimage import map_coordinates
 
     where = [np.nan_to_num(places[:, k], nan=-9.0) for k in (1, 0)]
     layers = [map_coordinates(values[..., k], where, order=1, cval=np.nan) for k in range(values.shape[-1])]

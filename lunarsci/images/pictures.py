@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import convolve
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
@@ -142,7 +143,6 @@ def _whole(file: InputFile, cell: str | None) -> int:
 
 def _without_mosaic(values: FloatArray) -> FloatArray:
     """Grey of an RGGB mosaic: each pixel with its neighbours, weighted so that every place has each colour alike."""
-    from scipy.ndimage import convolve
 
     kernel = np.outer([0.25, 0.5, 0.25], [0.25, 0.5, 0.25])
     return np.asarray(convolve(values, kernel, mode="mirror"))

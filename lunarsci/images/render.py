@@ -14,6 +14,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled, each_in_threads
@@ -192,7 +193,6 @@ def read_track(source: str) -> tuple[FloatArray, FloatArray]:
 
 
 def _refined(height: FloatArray, times: float) -> FloatArray:
-    from scipy.ndimage import map_coordinates
 
     if times == 1:
         return height
@@ -594,7 +594,6 @@ def _light(
     report: Callable[[int, int], None],
 ) -> FloatArray:
     """Radiance factor of each pixel through lens and pixel. (h, w)"""
-    from scipy.ndimage import gaussian_filter
 
     width, height = camera.size
     fine = np.empty((height * samples, width * samples))

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import label, maximum_filter, uniform_filter
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray, robust_scatter
 from lunarsci.errors import ParameterError
@@ -154,7 +155,6 @@ def height_over_ground(model: ElevationModel, largest_m: float) -> FloatArray:
 
 def _peaks(model: ElevationModel, above: FloatArray, largest_m: float, least: float) -> Peaks:
     """Nodes that stand out most among those within their own scale."""
-    from scipy.ndimage import maximum_filter
 
     significance, scale = _standing_out(model, above, largest_m)
     alone = max(3, round(0.06 / model.spacing_m)) | 1
@@ -246,7 +246,6 @@ def _rocks_of(model: ElevationModel, above: FloatArray, peaks: Peaks) -> tuple[P
 
 def _measured(model: ElevationModel, above: FloatArray, peaks: Peaks, number: int) -> DetectedRock:
     """Middle, diameter and height of what stands out at a node."""
-    from scipy.ndimage import label
 
     row, column, z = int(peaks.rows[number]), int(peaks.columns[number]), float(peaks.significance[number])
     inner, outer = (share * max(float(peaks.scale_m[number]), 0.05) / model.spacing_m for share in AROUND)
@@ -300,7 +299,6 @@ def _tried(
     rng: np.random.Generator,
 ) -> Iterator[Completeness]:
     """How many rocks put into the model are found, in its better and its worse half."""
-    from scipy.ndimage import uniform_filter
     from scipy.stats import binomtest
 
     valid = np.isfinite(above)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy.special import gammaincc
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
@@ -408,7 +409,6 @@ class StatesAgreement:
 
 def agreement(parameter: str, estimates: Sequence[Estimate], slip: FloatArray) -> StatesAgreement | None:
     """Of single states, with their slip, (n,); None where fewer than two have a value and an error."""
-    from scipy.special import gammaincc
     from scipy.stats import kendalltau
 
     pairs = [(e.value, e.sigma) if e.value is not None and e.sigma else (np.nan, np.nan) for e in estimates]

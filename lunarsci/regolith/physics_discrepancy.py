@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy.special import polygamma, psi, stdtrit
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
@@ -54,7 +55,6 @@ class VarianceLaw:
 
     def half_width(self, probability: float) -> float:
         """The share that is not exceeded to either side with this probability. [-]"""
-        from scipy.special import stdtrit
 
         return float(self.scale * stdtrit(self.degrees, 0.5 + 0.5 * probability))
 
@@ -64,7 +64,6 @@ class VarianceLaw:
 
     def grid(self) -> tuple[FloatArray, FloatArray]:
         """Logarithms of variances, and ln of their density up to a constant. (GRID,), (GRID,)"""
-        from scipy.special import polygamma
 
         spread = float(np.sqrt(polygamma(1, 0.5 * self.degrees)))
         ln_variance = 2.0 * math.log(self.scale) + spread * np.linspace(-REACH, REACH, GRID)
@@ -99,7 +98,6 @@ def _within(degrees: float) -> float:
 def _matched(ln_variance: FloatArray, weight: FloatArray) -> VarianceLaw:
     """The law with this mean and variance of the logarithm, from a density on an even grid."""
     from scipy.optimize import brentq
-    from scipy.special import polygamma, psi
 
     weight = weight / weight.sum()
     mean = float(weight @ ln_variance)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError, RequestError
@@ -289,7 +290,6 @@ def _more_of_pose(file: InputFile) -> tuple[float | None, tuple[float, ...] | No
 
 def _rover(rig: StereoRig, pose: Pose, attitude: Sequence[float], mast_m: Sequence[float]) -> Pose:
     """The rover's frame in that of the left camera: the middle between both cameras is `mast_m` in the rover's."""
-    from scipy.spatial.transform import Rotation
 
     turned = pose.rotation.T @ Rotation.from_euler("ZYX", attitude, degrees=True).as_matrix()
     middle = -0.5 * rig.rotation.T @ rig.translation_m

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.special import chdtri
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import ParameterError
@@ -95,7 +96,6 @@ def mode_with_errors(problem: JointProblem, start: FloatArray | None = None) -> 
 
 def _excess(problem: JointProblem, point: FloatArray) -> FloatArray:
     """Squared residuals of each state over what the worst of as many good ones may have. (n,)"""
-    from scipy.special import chdtri
 
     white = problem.white(point[None])[0]
     measured = np.isfinite(problem.forces).sum(axis=1)

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy.special import chdtri, ndtri
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import LunarSciWarning, ParameterError
@@ -150,7 +151,6 @@ class SoilPosterior:
 
     def rows(self) -> list[dict[str, Any]]:
         """One row a parameter, in its unit: median, 68 % and 95 % intervals, the prior's, what the states add."""
-        from scipy.special import ndtri
 
         keys = ("median", "low68", "high68", "low95", "high95")
         before = np.array([0.0, *map(float, ndtri(LEVELS))])
@@ -589,7 +589,6 @@ def _misfit(mode: Mode, reduced: float | None, left: float, given: bool, states:
 
     Neither errors taken because the file has none nor a model error that was found are the user's to answer for.
     """
-    from scipy.special import chdtri
 
     unstated, problem = [COLUMNS.index(name) for name in states.unstated], mode.problem
     errors, forces = problem.input_sigma.copy(), problem.forces.copy()
@@ -610,7 +609,6 @@ def _misfit(mode: Mode, reduced: float | None, left: float, given: bool, states:
 
 def least_chi_square(left: float) -> float:
     """Below which errors are too large for what so many degrees of freedom are left over."""
-    from scipy.special import chdtri
 
     return min(REDUCED[0] * left, float(chdtri(left, 1 - SIGNIFICANCE)))
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy.special import gammaln
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.compiled import each_in_threads, in_lanes
@@ -342,8 +343,6 @@ def states_alike(problem: JointProblem, point: FloatArray) -> float:
 
 def tail_of(white: FloatArray) -> float:
     """Degrees of freedom, of `TAILS`, of the Student law of unit variance that whitened residuals follow best."""
-
-    from scipy.special import gammaln
 
     def score(freedom: float) -> float:
         peak = gammaln(0.5 * (freedom + 1)) - gammaln(0.5 * freedom) - 0.5 * np.log(np.pi * (freedom - 2))

@@ -10,6 +10,8 @@ How well a sharp prediction met what came: continuous ranked probability score, 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.distance import pdist
+from scipy.special import fdtrc, fdtri, ndtr, stdtrit
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.twin.assimilation.residuals import MODEL_ERRORS, OBSERVED
@@ -59,7 +61,6 @@ def region_edge(probability: float, members: int, dimensions: int) -> float:
     Prediction region of Hotelling (1931), Ann. Math. Stat. 2, 360, 10.1214/aoms/1177732979; with an error of
     measurement that is known, it is somewhat too wide. Infinite with no more members than dimensions. [-]
     """
-    from scipy.special import fdtri
 
     if members <= dimensions:
         return float("inf")
@@ -68,7 +69,6 @@ def region_edge(probability: float, members: int, dimensions: int) -> float:
 
 
 def _beyond(squared: float, members: int, dimensions: int) -> float:
-    from scipy.special import fdtrc
 
     factor = (members - 1) * dimensions / (members - dimensions)
     return float(fdtrc(dimensions, members - dimensions, squared / factor))
@@ -199,7 +199,6 @@ def energy_score(observed: FloatArray, members: FloatArray) -> float:
     near = float(np.hypot(*(members - observed).T).mean())
     if count < 2:
         return near
-    from scipy.spatial.distance import pdist
 
     return near - float(pdist(members).mean()) / 2.0
 
@@ -211,7 +210,6 @@ def predictive_rank(observed: FloatArray, sigma: FloatArray, members: FloatArray
     integral transform of A. P. Dawid (1984), J. R. Stat. Soc. A 147, 278, 10.2307/2981683. Half a rank keeps it off 0
     and 1.
     """
-    from scipy.special import ndtr
 
     total = np.zeros(observed.shape)
     for member in members:
@@ -461,7 +459,6 @@ def _check(matched: MatchedObservations, name: str, wheel: str, rows: BoolArray)
 
 def half_band(members: int) -> float:
     """Half the 90 % band of a normal law whose mean and deviation are known from so many members. [sd]"""
-    from scipy.special import stdtrit
 
     return float(stdtrit(members - 1, 0.5 + NOMINAL / 2))
 

@@ -19,6 +19,8 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
+from scipy.linalg import block_diag
+from scipy.special import bdtr, chdtri
 
 from lunarsci.arrays import FloatArray
 from lunarsci.twin.assimilation.residuals import MODEL_ERRORS, OBSERVED
@@ -88,7 +90,6 @@ def piece_edges(matched: MatchedObservations, names: list[str], pieces: int) -> 
 
 def piece_means(matched: MatchedObservations, name: str, edges: FloatArray) -> PieceMeans | None:
     """Means of a quantity over all wheels and the times between edges; None where a piece has no value."""
-    from scipy.special import chdtri
 
     column = OBSERVED.index(name)
     rows = matched.counted[:, column]
@@ -220,7 +221,6 @@ def _vector(
         blocks.append(matched.place_error_m2[fix])
     if not blocks:
         return None
-    from scipy.linalg import block_diag
 
     return np.concatenate(observed), np.concatenate(members, axis=1), np.asarray(block_diag(*blocks)), free
 
@@ -317,7 +317,6 @@ def check_coverage(matched: MatchedObservations, bands: Sequence[BandCheck], see
 
 def _fall(check: BandCheck, share: float, least: float) -> float:
     """Binomial probability of the share over that of the least share of a member, at most 1. [-]"""
-    from scipy.special import bdtr
 
     values = max(int(check.effective), 1)
     single, other = (bdtr(np.floor(one * values), values, NOMINAL) for one in (share, least))

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates
 
 from lunarsci.arrays import NORMAL_MAD, FloatArray, IntArray
 from lunarsci.errors import DataError
@@ -133,7 +134,6 @@ def unresolved_grain(
     It is as much `rougher` than the law, in the logarithm, as that mean and standard deviation say, alike over 10 m.
     What a wheel meets of it is the mean over a square of its width, `footprint_m`.
     """
-    from scipy.ndimage import gaussian_filter, map_coordinates
 
     random = np.random.default_rng([seed, 31])
     relief, _ = lunar_relief()
@@ -371,7 +371,6 @@ def driven_ground(terrain: Terrain, finer: Sequence[Terrain], points_m: FloatArr
 
 def _evenly(covered: npt.NDArray[np.bool_], nodes: float) -> FloatArray:
     """0 at the rim of what is known, 1 so many nodes within it."""
-    from scipy.ndimage import distance_transform_edt
 
     return np.asarray(np.clip((distance_transform_edt(covered) - 1.0) / nodes, 0.0, 1.0))
 

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
@@ -108,7 +109,6 @@ def likely_ground(
     of known ones get the height of these, and for an error what the ground may differ by so far; others stay holes.
     Raises ParameterError where nothing is known of the random errors, all are 0, or hardly any heights are known.
     """
-    from scipy.ndimage import gaussian_filter
 
     finite = np.isfinite(height_m)
     if not (random_m[finite] > 0).any():
@@ -249,7 +249,6 @@ def mean_over(width: float, spacing: float, shape: tuple[int, ...]) -> FloatArra
 
 def _everywhere(values: FloatArray, finite: BoolArray) -> FloatArray:
     """Values, and where they are not known that of the next node where they are."""
-    from scipy.ndimage import distance_transform_edt
 
     if finite.all():
         return values
@@ -259,7 +258,6 @@ def _everywhere(values: FloatArray, finite: BoolArray) -> FloatArray:
 
 def _away(finite: BoolArray) -> FloatArray:
     """Distance of nodes from the next known one, in nodes; 0 for these."""
-    from scipy.ndimage import distance_transform_edt
 
     return np.zeros(finite.shape) if finite.all() else np.asarray(distance_transform_edt(~finite))
 

@@ -18,6 +18,8 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.errors import ParameterError
@@ -148,7 +150,6 @@ class SoilMap:
 
     def _nearest(self, place_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Distance to every zone, (n, zones), and its nearest place, (n, zones, 2)."""
-        from scipy.spatial import cKDTree
 
         by_zone = [(zone.place_m, *cKDTree(zone.place_m).query(place_m)) for zone in self.zones]
         distance = np.column_stack([distance for _, distance, _ in by_zone])
@@ -214,7 +215,6 @@ class SoilMap:
         """The map after a drive: older zones end within the reach of new ones, whose beliefs rest on theirs."""
         if not zones:
             return self
-        from scipy.spatial import cKDTree
 
         tree = cKDTree(np.concatenate([zone.place_m for zone in zones]))
         remaining = []
@@ -462,7 +462,6 @@ def _zone_draws(soil_map: SoilMap, members: int, random: np.random.Generator) ->
 
 def _together(soil_map: SoilMap) -> FloatArray:
     """Correlation of what the zones do not know, by the gap between their tracks. (z, z)"""
-    from scipy.spatial import cKDTree
 
     trees = [cKDTree(zone.place_m) for zone in soil_map.zones]
     gap = np.array([[np.min(one.query(other.data)[0]) for other in trees] for one in trees], dtype=np.float64)
@@ -479,7 +478,6 @@ def _root(correlation: FloatArray) -> FloatArray:
 def _paired(population: FloatArray, normal: FloatArray, root: FloatArray, random: np.random.Generator) -> FloatArray:
     """A population in an order that follows normal draws, so that neighbouring zones are drawn together."""
     from scipy.optimize import linear_sum_assignment
-    from scipy.spatial.distance import cdist
 
     drawn = population[np.resize(random.permutation(len(population)), len(normal))]
     white = np.linalg.pinv(root).T

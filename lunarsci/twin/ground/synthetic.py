@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import exp1
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
@@ -38,7 +39,6 @@ def rocks_per_m2(share: float, diameter_m: npt.ArrayLike) -> FloatArray:
     share) m, is for Mars at shares of 0.05 to 0.4 and would leave next to no rock above 10 cm at a share of 0.002. The
     number is the integral of -F'(D) / (pi D^2 / 4).
     """
-    from scipy.special import exp1
 
     def below(diameter: FloatArray) -> FloatArray:
         # The integral of exp(-x) / x^2 from x up is exp(-x) / x - E1(x).

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 
 from lunarsci.errors import ParameterError, RequestError
 from lunarsci.io.inputs import read_input
@@ -336,7 +337,6 @@ def check_targets(mission: Mission, surface: Traversability) -> None:
 
 def beyond(target: MissionTarget, surface: Traversability, rover: Rover) -> tuple[float, float] | None:
     """The place with room for the rover that is nearest to a target on unknown ground; None where it is known."""
-    from scipy.ndimage import distance_transform_edt
 
     terrain, unknown = surface.terrain, surface.unknown
     row, column = terrain.nodes(np.array([target.x_m, target.y_m]))

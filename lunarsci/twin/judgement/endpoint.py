@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.spatial import ConvexHull, QhullError
 
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.twin.judgement.keeping import extremes
@@ -133,7 +134,6 @@ def covering_circle(points_m: FloatArray) -> tuple[float, float, float]:
 
 
 def _hull(points: FloatArray) -> FloatArray:
-    from scipy.spatial import ConvexHull, QhullError
 
     distinct = np.unique(points, axis=0)
     try:

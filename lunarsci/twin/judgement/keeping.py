@@ -8,6 +8,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import betaincinv
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
@@ -60,7 +61,6 @@ class Chance:
         return self._quantile(CONFIDENCE) if self.failed < self.drives else 1.0
 
     def _quantile(self, share: float) -> float:
-        from scipy.special import betaincinv
 
         return float(betaincinv(self.failed + 0.5, self.drives - self.failed + 0.5, share))
 

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import binary_erosion, distance_transform_edt
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.compiled import compiled
@@ -50,7 +51,6 @@ def search_ground(surface: Traversability, points_m: FloatArray, margin_m: float
 
     Obstacles are nodes whose height is unknown or where a limit is exceeded; beyond the edge of the map all is unknown.
     """
-    from scipy.ndimage import binary_erosion, distance_transform_edt
 
     terrain = surface.terrain
     rows, columns = terrain.window(points_m, margin_m)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import label, minimum_position
 
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.errors import ParameterError
@@ -44,7 +45,6 @@ def obstacle_places(problem: ArcProblem) -> FloatArray:
     Obstacles are parts of the ground, apart from each other, from which the centre of the rover must keep away. Those
     at the frame of what is looked at have one side only.
     """
-    from scipy.ndimage import label, minimum_position
 
     window = problem.window
     distance = window.values[..., 0]

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray, at_times
 from lunarsci.compiled import each_in_threads
@@ -158,7 +159,6 @@ def _place(scene: tuple[Any, Any, Any, Any], motion: Motion, lanes: IntArray, wo
 
 def _velocities(time_s: FloatArray, poses: FloatArray) -> FloatArray:
     """Generalised velocities by differences of the poses, NaN beside poses that are. (n, 9)"""
-    from scipy.spatial.transform import Rotation
 
     given: Any = np.isfinite(poses).all(axis=1)
     turned = Rotation.from_quat(np.where(given[:, None], poses[:, [4, 5, 6, 3]], [0.0, 0.0, 0.0, 1.0]))

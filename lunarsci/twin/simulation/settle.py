@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
@@ -59,7 +60,6 @@ def place(rover: Any, tyre: Any, grid: Any, override: Any, start: FloatArray, wo
 
     `start` (GROUP, 3) is x, y, heading. Done once for a drive, and so not compiled.
     """
-    from scipy.spatial.transform import Rotation
 
     side = np.where(np.arange(len(rover.arms)) % 2 == 0, 1.0, -1.0)
     x = rover.arms[:, 0] + rover.hung * rover.bogie[0]
