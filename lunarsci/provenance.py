@@ -79,7 +79,6 @@ class Provenance:
 @cache
 def installed_version(package: str) -> str | None:
     """Version of an installed package, None when it is not installed."""
-
     try:
         return version(package)
     except PackageNotFoundError:

@@ -259,7 +259,6 @@ class Result(ABC):
 
     def plot(self, page: int = 0) -> "Figure":
         """A page of `--plot`, from 0. Raises ParameterError where there is no such page."""
-
         with styled():
             figure = next(islice(self.figures(), page, None), None)
         if figure is None:

@@ -37,7 +37,7 @@ NO_FIELDS = {"output", "save_terrain"}
 """Files that a command writes: no option of a function."""
 WITH_DASHES = {
     "lunarsci/figure.py", "lunarsci/images/jobs/locate.py", "lunarsci/pages/documents.py",
-    "lunarsci/spectra/origin/composition.py", "lunarsci/spectra/readers/libraries.py",
+    "lunarsci/spectra/origin/composition.py",
 }  # fmt: skip
 """Modules of which an error names an option of commands, or of another program, as it is typed."""
 

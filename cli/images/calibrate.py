@@ -62,7 +62,6 @@ def calibrate(output: Output, pictures: Pictures, request: CalibrateCamerasReque
     the rig is written with its covariance as `images dem` reads it. The picture of --plot shows residuals, and how
     uncertain directions are. Where the pictures leave focal length or baseline open, the exit code is 3.
     """
-
     from lunarsci.images.calibration import pictures_matching
     from lunarsci.images.jobs.calibrate_cameras import calibrate_cameras
 

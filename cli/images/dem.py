@@ -62,7 +62,6 @@ def dem(left: Left, right: Right, request: DemRequest, output: Output, terrain: 
 
 
 def _content(result: StereoTerrain, path: Path) -> Callable[[], bytes]:
-
     from lunarsci.images.elevation import elevation_bytes, elevation_geotiff
 
     return lambda: elevation_bytes(result.model) if path.suffix == ".npz" else elevation_geotiff(result.model)

@@ -60,7 +60,6 @@ def compare(request: CompareSoilsRequest, result: SiteResult = None) -> Report:
 
 def result_tables(result: ComparedSoils) -> list[TextTable]:
     """The nearest soils in both aspects."""
-
     from lunarsci.regolith.compare import WORDS, nearest
 
     soils, tables = result.soils, []

@@ -19,9 +19,6 @@ if TYPE_CHECKING:
     from lunarsci.regolith.identify import Estimate, Identification, Sensitivity
     from lunarsci.regolith.jobs.identify import IdentifiedSoil
 
-if TYPE_CHECKING:
-    from lunarsci.regolith.identify import Estimate, Identification, Sensitivity
-    from lunarsci.regolith.jobs.identify import IdentifiedSoil
 
 ERRORS = "Errors (where the file gives none)"
 SYMBOLS = {
@@ -89,7 +86,6 @@ def identify(states: States, request: IdentifyRequest, output: Output) -> Report
     Of each pair (K_s, N), (c, φ), (K_y, φ_y) what is assumed is given and the other is solved for; with both given,
     each is solved at the other's value. `regolith infer` takes all states together.
     """
-
     from lunarsci.regolith.jobs.identify import identify as identify_soil
 
     with progress("identifying", quiet=output.quiet) as update:
@@ -144,7 +140,6 @@ def _share(value: float | None) -> str:
 
 
 def _observation_tables(made: Identification, title: str) -> list[TextTable]:
-
     from lunarsci.regolith.identify import UNITS, Estimate
 
     if len(made.observations) > MANY_STATES:
@@ -156,7 +151,6 @@ def _observation_tables(made: Identification, title: str) -> list[TextTable]:
 
 
 def _site_table(result: IdentifiedSoil, title: str, *notes: str) -> TextTable:
-
     from lunarsci.regolith.identify import LABELS
 
     made = result.identification
@@ -182,7 +176,6 @@ def _site_title(result: IdentifiedSoil) -> str:
 
 
 def _site_row(label: str, estimate: Estimate, name: str) -> list[str]:
-
     from lunarsci.regolith.identify import UNITS
 
     interval = "-" if estimate.low is None else f"{_digits(estimate.low, name)} to {_digits(estimate.high, name)}"

@@ -89,7 +89,6 @@ def _bands_row(record: Mapping[str, Any]) -> list[str]:
 
 def _centre_and_spread(record: Mapping[str, Any], key: str) -> list[str]:
     """The centre with the error of its noise, and what methods differ by."""
-
     from lunarsci.spectra.band_status import with_errors
 
     center, sigma = record[f"bc{key}_nm"], record[f"bc{key}_sigma_nm"]

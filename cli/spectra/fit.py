@@ -19,12 +19,10 @@ from ..shared.talk import progress
 from .options import ONLY, UNITS, Files
 
 if TYPE_CHECKING:
-    from lunarsci.spectra.mgm.result import FittedBand, MgmFit
-
-if TYPE_CHECKING:
     from lunarsci.spectra.abundance.result import Abundance
     from lunarsci.spectra.jobs.fit import MgmFits
     from lunarsci.spectra.mgm.result import FittedBand, MgmFit
+
 
 MODEL, LIMITS, ANSWER = "Model", "Constraints", "Errors"
 MODEL_OPTIONS: dict[str, RequestOption] = {
@@ -107,7 +105,6 @@ def _not_shown(fits: MgmFits) -> list[str]:
 
 
 def _notes(record: Mapping[str, Any], fit: MgmFit) -> list[str]:
-
     if fit.prior == "damping":
         error = "errors include the residuals"
     else:
@@ -140,7 +137,6 @@ def _shared_in_ratios(record: Mapping[str, Any], *, with_shared: bool) -> list[s
 
 
 def _composition_notes(fit: MgmFit) -> list[str]:
-
     from lunarsci.spectra.mgm.batch import compositions
 
     notes = []
@@ -171,7 +167,6 @@ def _overview_row(record: Mapping[str, Any]) -> list[str]:
 
 
 def _bands_table(fit: MgmFit) -> TextTable:
-
     spread = any(band.center_continuum_nm is not None for band in fit.bands)
     headers = ["band", "mineral", "centre [nm]", "FWHM [nm]", "strength [ln R]", "strength/σ"]
     headers += ["shrinkage of centre", "shrinkage of FWHM"]
@@ -222,7 +217,6 @@ def _intervals_table(intervals: Mapping[str, Any]) -> TextTable:
 
 
 def _choice_table(choice: Mapping[str, Any]) -> TextTable:
-
     from lunarsci.spectra.mgm.assemblages import SURE
 
     shown = [(item, f"{100 * item['probability']:.0f}") for item in choice["candidates"]]

@@ -56,7 +56,6 @@ def result_tables(result: MeasuredIndices) -> list[TextTable]:
 
 
 def _one(result: MeasuredIndices) -> TextTable:
-
     from lunarsci.spectra.indices import INDICES
 
     record = result.records()[0]
@@ -67,7 +66,6 @@ def _one(result: MeasuredIndices) -> TextTable:
 
 
 def _many(result: MeasuredIndices) -> TextTable:
-
     from lunarsci.spectra.indices import INDICES, NO_CHANNELS
 
     records = result.records()

@@ -59,7 +59,6 @@ def import_(files: Files, request: ImportRequest, output: Output) -> Report:
 
     Libraries among the files are merged.
     """
-
     from lunarsci.spectra.jobs.library import import_library
 
     library = import_library(files, request)
@@ -93,7 +92,6 @@ def list_(files: Libraries) -> Report:
 )
 def check(files: Libraries) -> Report:
     """What must be mended before a library is used, and what one should know; exit code 3 where something must."""
-
     from lunarsci.spectra.jobs.library import check_library
 
     checked = check_library(files)
@@ -117,7 +115,6 @@ def plot(files: Libraries, output: Output) -> Report:
 
 
 def _list(files: list[str]) -> Report:
-
     from lunarsci.spectra.jobs.library import open_library
 
     library = open_library(files)
@@ -125,7 +122,6 @@ def _list(files: list[str]) -> Report:
 
 
 def _picture(library: Library, suffix: str, _: Mapping[str, Any]) -> bytes:
-
     from lunarsci.figure import picture_bytes
 
     return picture_bytes(library.figures(), Path(f"library{suffix}"))

@@ -76,7 +76,6 @@ def map_cube(cube: CubeFile, request: MapRequest, output: Output, spectrum: Spec
 
     -o MAP.nc writes NetCDF (CF conventions), -o MAP.tif GeoTIFF; --plot draws a quick look.
     """
-
     from lunarsci.spectra.jobs.map import map, pixel
 
     if spectrum is not None:

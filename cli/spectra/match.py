@@ -80,7 +80,6 @@ def match(request: MatchRequest, output: Output, rocks: Rocks = None) -> Report:
 
 
 def result_tables(result: Matches) -> list[TextTable]:
-
     from lunarsci.spectra.origin.match import OTHER
 
     matches, notes = result.matches, [f"- {text}" for text in result.assumptions]
@@ -104,7 +103,6 @@ def _best(match: RockMatch) -> float:
 
 
 def _craters_table(match: RockMatch, notes: Sequence[str]) -> TextTable:
-
     from lunarsci.spectra.origin.match import OTHER
 
     headers = ["crater", "distance [km]", "azimuth [deg]", "ejecta [m]", "main route", "ln BF", "prior", "posterior"]

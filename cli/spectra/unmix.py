@@ -99,7 +99,6 @@ def _percent(share: MineralFraction) -> list[str]:
 
 def ratio_table(mixed: UnmixedSpectra) -> list[TextTable]:
     """Ratios of the mafic minerals of solid rocks, beside published ones."""
-
     from lunarsci.spectra.abundance.result import BOULDERS
 
     rows = [[one.id, ratio.mineral.replace("_", " "), *_percent(ratio)] for one in mixed.shares for ratio in one.ratios]

@@ -129,7 +129,6 @@ def _drive(inputs: list[str], request: TrialsRequest, save: Path | None) -> Repo
 
 
 def _trials(inputs: list[str], request: TrialsRequest, output: Output, save: Path | None) -> Report:
-
     from lunarsci.twin.jobs import compare_trials as job
 
     if save is not None:
@@ -141,7 +140,6 @@ def _trials(inputs: list[str], request: TrialsRequest, output: Output, save: Pat
 
 def result_tables(compared: ComparedDrive) -> list[TextTable]:
     """The verdict with what it rests on, and what a belief learned of it."""
-
     tables, before, after = _tables(compared), compared.before, compared.belief
     if before is None or after is None:
         return tables
@@ -149,7 +147,6 @@ def result_tables(compared: ComparedDrive) -> list[TextTable]:
 
 
 def _tables(compared: ComparedDrive) -> list[TextTable]:
-
     from lunarsci.twin.comparison.forecast import miss_of
 
     matched, judged, states = compared.matched, compared.comparison, compared.states

@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     from lunarsci.twin.jobs.forces import DriveForces
     from lunarsci.twin.judgement.tables import Spread, WheelLoads
 
-if TYPE_CHECKING:
-    from lunarsci.twin.jobs.forces import DriveForces
-    from lunarsci.twin.judgement.tables import Spread, WheelLoads
 
 COLUMNS = {
     "normal_force_n": ("F_N [N]", 1.0),
@@ -50,7 +47,6 @@ def forces(output: Output, request: DriveRequest, plan: PlanFile = None) -> Repo
     The drive has the soil of the terrain unless --sweep, --members or --soil name others. `lunarsci twin loads` gives
     the same along a measured motion.
     """
-
     from lunarsci.twin.jobs import forces as job
 
     with progress("driving", quiet=output.quiet) as update:

@@ -18,12 +18,9 @@ from ..shared.table import TextTable, significant
 
 if TYPE_CHECKING:
     from lunarsci.regolith.belief import BeliefDistance, SoilBelief
-    from lunarsci.twin.jobs.history import BeliefHistory
-
-if TYPE_CHECKING:
-    from lunarsci.regolith.belief import BeliefDistance, SoilBelief
     from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
     from lunarsci.twin.jobs.history import BeliefHistory
+
 
 OPTIONS = {
     "against": option(kind=str | None, metavar="FILE"),
@@ -79,7 +76,6 @@ def history(
 
 
 def _tables(result: BeliefHistory, save: Path | None) -> list[TextTable]:
-
     from lunarsci.regolith.belief import parameter_rows
 
     now = parameter_table(parameter_rows(result.belief), "What is believed now")
@@ -94,7 +90,6 @@ def _tables(result: BeliefHistory, save: Path | None) -> list[TextTable]:
 
 
 def _drive_table(name: str, drives: list[dict[str, Any]]) -> TextTable:
-
     from lunarsci.regolith.columns import ground_name
 
     headers = [
@@ -144,7 +139,6 @@ def _moved_table(drives: list[dict[str, Any]]) -> TextTable:
 
 def _physics_table(belief: SoilBelief) -> TextTable:
     """What the twin's physics is off by, and the drives that taught it."""
-
     table = discrepancy_table(belief.discrepancy)
     lines = [f"taught by {one.get('states')} ({one.get('how')})" for one in belief.discrepancy.scored]
     return TextTable(table.headers, table.rows, title=table.title, notes=[*table.notes, *lines])

@@ -78,7 +78,6 @@ def loads(
     forces. Forces that were computed from a soil cannot prove it, so the search uses only the sinkages under the loads,
     and the slips beside the pull of all wheels together. Exit code 3: the rounds do not converge.
     """
-
     from lunarsci.twin.jobs import loads as job
     from lunarsci.twin.jobs.loads import MotionLoads
 
@@ -104,7 +103,6 @@ def result_tables(result: MotionLoads | UncertainLoads) -> list[TextTable]:
 
 
 def _notes_of_motion(result: MotionLoads) -> list[str]:
-
     from lunarsci.twin.lanes import outcome_texts
 
     notes = [*outcome_texts(result.forces.outcome), *result.inputs.remarks]

@@ -23,17 +23,10 @@ if TYPE_CHECKING:
     from lunarsci.twin.jobs.plan import PlannedMission
     from lunarsci.twin.jobs.terrain import TerrainSurvey
     from lunarsci.twin.judgement.choice import DriveCandidate
-    from lunarsci.twin.plans.plan import Leg
-    from lunarsci.twin.routes.planner import PlannedPath
-
-if TYPE_CHECKING:
-    from lunarsci.twin.jobs.chosen_drive import ChosenDrive
-    from lunarsci.twin.jobs.plan import PlannedMission
-    from lunarsci.twin.jobs.terrain import TerrainSurvey
-    from lunarsci.twin.judgement.choice import DriveCandidate
     from lunarsci.twin.mission.mission import MissionLeg
     from lunarsci.twin.plans.plan import Leg
     from lunarsci.twin.routes.planner import PlannedPath
+
 
 PATH, CHOICE = "Path", "Drives compared by their risk"
 OPTIONS = {
@@ -94,7 +87,6 @@ def plan(output: Output, request: PlanRequest, terrain: NamedTerrain = None, geo
     that fits. Exit code 3 says that a target is not reached, or the chance is too small. With -o DIR leg-NNN.toml are
     the plans, legs.csv the timetable, mission.geojson the map.
     """
-
     from lunarsci.twin.jobs import plan as job
 
     alone = request.risk is None and request.mission is None
@@ -106,7 +98,6 @@ def plan(output: Output, request: PlanRequest, terrain: NamedTerrain = None, geo
 
 def result_tables(survey: TerrainSurvey) -> list[TextTable]:
     """A mission's targets and legs, or the drives to choose from or the ground, and the way."""
-
     from lunarsci.twin.jobs.chosen_drive import ChosenDrive
     from lunarsci.twin.jobs.plan import PlannedMission
 
@@ -164,7 +155,6 @@ def _percent(chance: float) -> str:
 
 
 def _path_table(survey: TerrainSurvey, path: PlannedPath) -> TextTable:
-
     limits = survey.site.mobility
     rows = [
         [str(number), f"{arc.length_m:.3f}", f"{arc.curvature_per_m:.4f}", _radius(arc.curvature_per_m)]
@@ -202,7 +192,6 @@ def _driven(leg: Leg) -> str:
 
 def _place_notes(path: PlannedPath, light: Mapping[str, Any]) -> list[str]:
     """Longitude and latitude of the end, and the share of the path in shadow, where these are known."""
-
     from lunarsci.heights.projections import lonlat_of
 
     end = lonlat_of(path.plan.crs, path.end[:2].tolist())
@@ -251,7 +240,6 @@ def _targets(planned: PlannedMission) -> TextTable:
 
 
 def _legs(planned: PlannedMission) -> TextTable:
-
     from lunarsci.twin.judgement.quantities import least_of_95
 
     rows = [_row(leg) for leg in planned.driven.legs]

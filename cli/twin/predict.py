@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     from lunarsci.twin.jobs.predict import PredictedDrives
     from lunarsci.twin.judgement.safety import Judgement, Verdict
 
-if TYPE_CHECKING:
-    from lunarsci.twin.jobs.predict import PredictedDrives
-    from lunarsci.twin.judgement.safety import Judgement, Verdict
 
 OPTIONS = DRIVE | {
     "risk": option(),
@@ -76,7 +73,6 @@ def predict(
     On soils of a belief every drive also carries a draw of what the twin's physics is off by, in its place, slip, side
     slip, sinkage and forces; the result says how much of the ends' variance that is.
     """
-
     from lunarsci.twin.jobs import predict as job
 
     if animate is not None:
@@ -93,7 +89,6 @@ def result_tables(predicted: PredictedDrives) -> list[TextTable]:
 
 
 def _check_film(output: Output, animate: Path) -> None:
-
     from lunarsci.twin.figures.animation import FORMATS, check_format
 
     output.check_extra("--animate", animate, FORMATS)
@@ -128,7 +123,6 @@ QUANTITIES = {"sinkage_m": ("sinkage", "mm", 1e3)}
 
 def _verdict_tables(predicted: PredictedDrives) -> list[TextTable]:
     """The verdict for people: head line, limits, notes."""
-
     from lunarsci.regolith.columns import short_name
     from lunarsci.twin.judgement.safety import headword
     from lunarsci.twin.judgement.tables import check_loads, load_notes
@@ -173,7 +167,6 @@ def _limit_row(limit: Judgement) -> list[str]:
 
 
 def _energy_notes(predicted: PredictedDrives) -> list[str]:
-
     from lunarsci.twin.judgement.energy import energy_record
 
     energy = energy_record(predicted.prediction)
@@ -187,7 +180,6 @@ def _energy_notes(predicted: PredictedDrives) -> list[str]:
 
 
 def _power_notes(predicted: PredictedDrives) -> list[str]:
-
     from lunarsci.twin.judgement.energy import power_record
 
     power = predicted.prediction.rover.power

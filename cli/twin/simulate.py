@@ -56,7 +56,6 @@ def simulate(output: Output, request: SimulateDriveRequest, plan: PlanFile = Non
     With -o DIR the telemetry goes to telemetry.csv, the depth of the track to track.csv, and the truth behind both to
     truth.csv. All of it is made up and says so. `lunarsci twin states` reads the first two.
     """
-
     from lunarsci.twin.jobs.simulate import simulate_drive
 
     with progress("driving", quiet=output.quiet) as update:

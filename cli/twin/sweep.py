@@ -49,7 +49,6 @@ def sweep(output: Output, request: SweepRequest, plans: Plans = None) -> Report:
     reason; a number on which no drive depends is refused with its reason. `*` marks designs that no other beats both in
     energy and in the share of drives kept; --plot has them in a picture, and a curve for each number.
     """
-
     from lunarsci.twin.jobs import sweep as job
 
     with progress("designs", quiet=output.quiet) as update:

@@ -65,7 +65,6 @@ def terrain(
     With -o DIR the terrain goes to terrain.npz and the maps to maps.npz. The terrain keeps the rover and the limits
     that it was looked at for. `lunarsci twin plan` finds a path on it.
     """
-
     from lunarsci.twin.jobs import terrain as job
 
     check_files(output, soil=request.soil is not None, geotiff=geotiff)

@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from lunarsci.twin.assimilation.segments import Segment
     from lunarsci.twin.jobs.update import LearnedSoil
 
-if TYPE_CHECKING:
-    from lunarsci.twin.assimilation.segments import Segment
-    from lunarsci.twin.jobs.update import LearnedSoil
 
 FILE: dict[str, Any] = {"kind": str | None, "metavar": "FILE"}
 DRIVE, BELIEF = "Drive", "Belief"
@@ -111,7 +108,6 @@ def update(
 
     What no soil explains teaches how far the twin's physics is off, which predictions from the belief then carry.
     """
-
     from lunarsci.twin.jobs import update as job
 
     output.check_extra("--save", save, (".json",))
@@ -129,7 +125,6 @@ def update(
 
 
 def result_tables(learned: LearnedSoil) -> list[TextTable]:
-
     from lunarsci.regolith.belief import parameter_rows
     from lunarsci.regolith.columns import short_name
 
@@ -145,7 +140,6 @@ def result_tables(learned: LearnedSoil) -> list[TextTable]:
 
 
 def _notes(learned: LearnedSoil) -> list[str]:
-
     from lunarsci.twin.assimilation.update import SURPRISING
 
     update = learned.update

@@ -275,13 +275,11 @@ class Pose:
 
 def rotation_of(vector: npt.ArrayLike) -> FloatArray:
     """The rotation about a vector by its length, Rodrigues' formula. (3,) [rad] to (3, 3)"""
-
     return np.asarray(Rotation.from_rotvec(np.asarray(vector, dtype=float)).as_matrix())
 
 
 def vector_of(rotation: npt.ArrayLike) -> FloatArray:
     """The inverse of `rotation_of`. (3, 3) to (3,) [rad]"""
-
     return np.asarray(Rotation.from_matrix(np.asarray(rotation, dtype=float)).as_rotvec())
 
 

@@ -98,7 +98,6 @@ class ElevationModel:
 
     def at(self, key: str, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> FloatArray:
         """A layer between its nodes, bilinear; NaN outside and where one of the four is unknown."""
-
         rows = (np.asarray(y_m, dtype=float) - self.y0_m) / self.spacing_m
         columns = (np.asarray(x_m, dtype=float) - self.x0_m) / self.spacing_m
         # A place on the last node, or a rounding beyond it, is on the map.
@@ -136,7 +135,6 @@ class ElevationModel:
 
 def mean_about(values: FloatArray, width: float) -> FloatArray:
     """Mean of what is known under a Gaussian about each node; NaN where nothing is within four widths. (ny, nx)"""
-
     valid = np.isfinite(values)
     weight = gaussian_filter(valid.astype(float), width)
     with np.errstate(invalid="ignore"):
@@ -311,7 +309,6 @@ class _Stack:
         shift: FloatArray,
     ) -> "_Stack":
         """Models laid where they are thought to be: shifted by (k, 3), about which slopes are taken."""
-
         x, y, step = grid_m
         grid = np.meshgrid(x, y)
         heights, variances, derivatives = [], [], []

@@ -22,14 +22,14 @@ from lunarsci.images.tracks import TrackDepths, TrackProfile, places_on, unrolle
 MARK, BAND = "#D55E00", "#9fb4c0"
 
 
-def _map(axes: "Axes", model: ElevationModel, values: FloatArray, label: str, **look: Any) -> None:
+def _map(axes: Axes, model: ElevationModel, values: FloatArray, label: str, **look: Any) -> None:
     picture = axes.imshow(values, extent=model.extent_m, origin="lower", interpolation="nearest", **look)
     axes.figure.colorbar(picture, ax=axes, label=label, shrink=0.85)
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
     axes.set_facecolor("#c9c9c9")
 
 
-def track_page(model: ElevationModel, line: FloatArray, width_m: float, depths: TrackDepths) -> "Figure":
+def track_page(model: ElevationModel, line: FloatArray, width_m: float, depths: TrackDepths) -> Figure:
     """Where the track is, its depth along it with errors, and the mean profile across."""
     figure = page(7.6)
     headline(figure, f"track on {as_label(model.name)}", synthetic=model.synthetic)
@@ -51,7 +51,7 @@ def track_page(model: ElevationModel, line: FloatArray, width_m: float, depths: 
     return figure
 
 
-def _along(axes: "Axes", depths: TrackDepths) -> None:
+def _along(axes: Axes, depths: TrackDepths) -> None:
     total = np.hypot(depths.rut_m_random, depths.rut_m_systematic)
     for sigma, colour, label in ((total, "#d5dee3", "with systematic error"), (depths.rut_m_random, BAND, "random")):
         low, high = 1e3 * (depths.rut_m - sigma), 1e3 * (depths.rut_m + sigma)
@@ -66,7 +66,7 @@ def _along(axes: "Axes", depths: TrackDepths) -> None:
     axes.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
 
 
-def _across(axes: "Axes", model: ElevationModel, line: FloatArray, width_m: float, depths: TrackDepths) -> None:
+def _across(axes: Axes, model: ElevationModel, line: FloatArray, width_m: float, depths: TrackDepths) -> None:
     profile = TrackProfile.of_wheel(width_m, float(np.nan_to_num(np.nanmedian(model.layer("resolution_m")))))
     inner, outer = profile.ground_m
     nodes = unrolled(model, line, outer + width_m)
@@ -93,7 +93,7 @@ def _across(axes: "Axes", model: ElevationModel, line: FloatArray, width_m: floa
     axes.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
 
 
-def rocks_page(model: ElevationModel, survey: RockSurvey) -> "Figure":
+def rocks_page(model: ElevationModel, survey: RockSurvey) -> Figure:
     """Rocks on the heights over the ground, and the share found by diameter."""
     figure = page(4.3)
     headline(figure, f"rocks on {as_label(model.name)}", synthetic=model.synthetic)
@@ -118,7 +118,7 @@ def rocks_page(model: ElevationModel, survey: RockSurvey) -> "Figure":
     return figure
 
 
-def merge_page(merged: MergedMap) -> "Figure":
+def merge_page(merged: MergedMap) -> Figure:
     """The merged heights, their errors, how many models there are, and where these disagree."""
     model = merged.model
     figure = page(6.4)
@@ -138,7 +138,7 @@ REASON_COLOURS = ("#ffffff", "#bcc4c8", "#f6e27a", "#000000", "#e08f3c", "#7a1f8
 """Of `REASONS` in their order; in grey each is by a tenth lighter or darker than the next."""
 
 
-def dem_figure(model: ElevationModel, matches: StereoMatches, pose: Pose) -> "Figure":
+def dem_figure(model: ElevationModel, matches: StereoMatches, pose: Pose) -> Figure:
     """Picture with disparities, reasons where there is none, heights, and random and common errors."""
     figure = page(5.9)
     axes = figure.subplots(2, 3)
@@ -168,8 +168,7 @@ def dem_figure(model: ElevationModel, matches: StereoMatches, pose: Pose) -> "Fi
     return figure
 
 
-def _reasons(axis: "Axes", matches: StereoMatches) -> None:
-
+def _reasons(axis: Axes, matches: StereoMatches) -> None:
     axis.imshow(matches.reason, cmap=ListedColormap(REASON_COLOURS), vmin=-0.5, vmax=len(REASONS) - 0.5)
     axis.set_title("why there is no disparity")
     shares = list(matches.shares().values())
@@ -185,7 +184,7 @@ LONG = 0.08
 """Length of the arrow of a residual of three standard deviations, as a share of the picture's width."""
 
 
-def calibration_page(result: CameraCalibration, name: str) -> "Figure":
+def calibration_page(result: CameraCalibration, name: str) -> Figure:
     """Residuals of each camera over its picture, on how uncertain directions are, and residuals by moment."""
     count = len(result.cameras)
     figure = page(6.0 if count > 1 else 3.6)
@@ -198,7 +197,7 @@ def calibration_page(result: CameraCalibration, name: str) -> "Figure":
     return figure
 
 
-def _calibration_residuals(figure: "Figure", axis: "Axes", result: CameraCalibration, index: int) -> None:
+def _calibration_residuals(figure: Figure, axis: Axes, result: CameraCalibration, index: int) -> None:
     camera, rows = result.cameras[index], result.residuals[index]
     u, v = np.meshgrid(np.linspace(0, camera.width_px - 1, 25), np.linspace(0, camera.height_px - 1, 21))
     uncertain = result.uncertainty_px(index, np.stack([u.ravel(), v.ravel()], axis=-1)).reshape(u.shape)
@@ -214,7 +213,7 @@ def _calibration_residuals(figure: "Figure", axis: "Axes", result: CameraCalibra
     axis.set_title(f"{camera.name}: {len(rows)} points", loc="left")
 
 
-def _by_moment(axis: "Axes", result: CameraCalibration, index: int) -> None:
+def _by_moment(axis: Axes, result: CameraCalibration, index: int) -> None:
     rows = result.residuals[index]
     moments = np.unique(rows[:, 0]).astype(int)
     rms = [float(np.sqrt(np.mean(rows[rows[:, 0] == k, 3:] ** 2))) for k in moments]
@@ -226,7 +225,7 @@ def _by_moment(axis: "Axes", result: CameraCalibration, index: int) -> None:
 
 def range_page(
     names: Sequence[str], ranges_m: FloatArray, random_m: Sequence[FloatArray], common_m: Sequence[FloatArray]
-) -> "Figure":
+) -> Figure:
     """Random and common error of the range of a single point, by its range."""
     figure = page(4.0 + 0.15 * 2 * len(names), 5.6)
     axis: Any = figure.subplots()
@@ -247,7 +246,7 @@ ARROW = 30.0
 """Residuals are drawn so many times as long."""
 
 
-def ties_figure(result: Localised, number: int, *, synthetic: bool = False) -> "Figure":
+def ties_figure(result: Localised, number: int, *, synthetic: bool = False) -> Figure:
     """Picture of one pair's ties: in the farther and the nearer left picture, residuals, and a plan of stations."""
     pair, adjusted = result.pairs[number], result.adjusted
     far, near = result.stations[pair.far], result.stations[pair.near]
@@ -267,7 +266,7 @@ def ties_figure(result: Localised, number: int, *, synthetic: bool = False) -> "
     return figure
 
 
-def _ties_picture(axis: "Axes", light: FloatArray, places: FloatArray, colours: FloatArray, title: str) -> None:
+def _ties_picture(axis: Axes, light: FloatArray, places: FloatArray, colours: FloatArray, title: str) -> None:
     low, high = np.percentile(light, [0.5, 99.5])
     axis.imshow(np.sqrt(np.clip(light, 0, high)), cmap="gray", vmin=np.sqrt(max(low, 0)), vmax=np.sqrt(high))
     axis.scatter(places[:, 0], places[:, 1], c=colours, s=14, cmap="viridis", edgecolors="white", linewidths=0.5)
@@ -275,7 +274,7 @@ def _ties_picture(axis: "Axes", light: FloatArray, places: FloatArray, colours: 
     axis.set_axis_off()
 
 
-def _ties_residuals(axis: "Axes", places: FloatArray, off: FloatArray, weights: FloatArray) -> None:
+def _ties_residuals(axis: Axes, places: FloatArray, off: FloatArray, weights: FloatArray) -> None:
     shown = axis.quiver(
         *places.T, *(ARROW * off).T, weights, angles="xy", scale_units="xy", scale=1, cmap="viridis", clim=(0, 1)
     )
@@ -285,9 +284,8 @@ def _ties_residuals(axis: "Axes", places: FloatArray, off: FloatArray, weights: 
     axis.figure.colorbar(shown, ax=axis, orientation="horizontal", label="weight of the tie [-]", shrink=0.8)
 
 
-def _plan(axis: "Axes", result: Localised) -> None:
+def _plan(axis: Axes, result: Localised) -> None:
     """Stations by dead reckoning and by ties, with ellipses of 95 %, drawn larger where they would not be seen."""
-
     reckoned = np.array([s.pose.center_m[:2] for s in result.stations])
     now = np.array([p.center_m[:2] for p in result.poses])
     axis.plot(*reckoned.T, "o--", color="0.5", label="dead reckoning")

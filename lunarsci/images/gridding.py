@@ -140,7 +140,6 @@ def _spread_of_means(
 
 def _medians(cell: npt.NDArray[np.int64], z: FloatArray, shape: tuple[int, int]) -> FloatArray:
     """Median height of each cell, NaN where it has none. (ny, nx)"""
-
     medians, places = np.full(shape[0] * shape[1], np.nan), np.unique(cell)
     medians[places] = median(z, cell, places)
     return medians.reshape(shape)
@@ -215,7 +214,6 @@ def _common_errors(
 def _of_points(rig: StereoRig, pose: Pose, height: FloatArray, grid: tuple[float, float, float]) -> FloatArray:
     """Covariance of the place of what is seen at each node, from the rig's: exact at some nodes, linear between them;
     where no height is known it is that of the nearest one. (ny, nx, 3, 3) [m2]"""
-
     rows, columns = (np.arange(0, size + COMMON_NODES - 1, COMMON_NODES) for size in height.shape)
     filled = _nearest(height)[
         np.ix_(*(np.minimum(k, n - 1) for k, n in zip((rows, columns), height.shape, strict=True)))
@@ -231,7 +229,6 @@ def _of_points(rig: StereoRig, pose: Pose, height: FloatArray, grid: tuple[float
 
 def _nearest(values: FloatArray) -> FloatArray:
     """Values with those that are NaN taken from the nearest that is known. (ny, nx)"""
-
     place = distance_transform_edt(np.isnan(values), return_distances=False, return_indices=True)
     return np.asarray(values[tuple(place)])
 

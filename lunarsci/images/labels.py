@@ -345,7 +345,6 @@ def _fit_corners(
     name: str, size: tuple[int, int], focal: float, principal: tuple[float, float], stated: dict[str, FloatArray]
 ) -> LabelCamera:
     """Rotation and k1 from stated directions of the corners and the middle of a picture."""
-
     right, low = size[0] - 1.0, size[1] - 1.0
     places = {"up_left": (0, 0), "down_left": (0, low), "up_right": (right, 0), "down_right": (right, low)}
     pixels = np.array([places.get(corner, (0.5 * right, 0.5 * low)) for corner in stated])

@@ -154,7 +154,6 @@ def adjust(
 
     Raises DataError where the equations have no answer.
     """
-
     bundle = _Bundle(tuple(poses), tuple(covariances), rig, tuple(pairs))
     state = _Unknowns(tuple(start or poses), np.zeros(len(PARAMETERS)), np.zeros((len(pairs), 2)), (1.0,) * len(pairs))
     for _ in range(STEPS):
@@ -357,7 +356,6 @@ class Transferred(NamedTuple):
 def transfer(near: Station, pose: Pose, far: Station, far_pose: Pose) -> Transferred:
     """Lay what the nearer station sees into the view of the farther one: the mean of what falls into a pixel, and the
     place that falls nearest to its middle."""
-
     frame, matches = far.matches.rectified, near.matches
     pixels = np.argwhere(np.isfinite(matches.disparity) & (matches.disparity > 0))
     points = matches.rectified.points(matches.disparity)[pixels[:, 0], pixels[:, 1]]
@@ -516,7 +514,6 @@ def original_px(frame: Rectified, rig: StereoRig, places: FloatArray, *, right: 
 
 def _at(values: FloatArray, places: FloatArray) -> FloatArray:
     """Values (h, w, k) at (u, v) (n, 2), bilinear; NaN where one of the four is unknown. (n, k)"""
-
     where = [np.nan_to_num(places[:, k], nan=-9.0) for k in (1, 0)]
     layers = [map_coordinates(values[..., k], where, order=1, cval=np.nan) for k in range(values.shape[-1])]
     return np.stack(layers, axis=-1)

@@ -97,7 +97,6 @@ def _picture(file: InputFile, values: npt.NDArray[Any]) -> Picture:
 
 def _check_size(file: InputFile) -> None:
     """Raise DataError for what is no PNG, TIFF or JPEG, and for more pixels than are unpacked: its header says both."""
-
     from PIL import Image
 
     try:
@@ -143,7 +142,6 @@ def _whole(file: InputFile, cell: str | None) -> int:
 
 def _without_mosaic(values: FloatArray) -> FloatArray:
     """Grey of an RGGB mosaic: each pixel with its neighbours, weighted so that every place has each colour alike."""
-
     kernel = np.outer([0.25, 0.5, 0.25], [0.25, 0.5, 0.25])
     return np.asarray(convolve(values, kernel, mode="mirror"))
 
@@ -159,7 +157,6 @@ def open_cv() -> Any:
 
 def png_bytes(values: npt.NDArray[np.uint16], words: dict[str, str]) -> bytes:
     """A grey PNG of 16 bits with words in its text chunks. (height, width)"""
-
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 

@@ -167,7 +167,6 @@ def with_track(landscape: Landscape, places_m: FloatArray, depth_m: FloatArray, 
 
     Rocks stay as they are. Raises ParameterError where no place is on the ground.
     """
-
     nodes, reach = np.zeros(landscape.height_m.shape), 0.5 * width_m / landscape.spacing_m
     columns, rows = (np.asarray(places_m, dtype=float) - (landscape.x0_m, landscape.y0_m)).T / landscape.spacing_m
     for row, column, depth in zip(rows, columns, depth_m, strict=True):
@@ -193,7 +192,6 @@ def read_track(source: str) -> tuple[FloatArray, FloatArray]:
 
 
 def _refined(height: FloatArray, times: float) -> FloatArray:
-
     if times == 1:
         return height
     rows, columns = (np.arange(0, count - 1 + 1e-9, 1 / times) for count in height.shape)
@@ -594,7 +592,6 @@ def _light(
     report: Callable[[int, int], None],
 ) -> FloatArray:
     """Radiance factor of each pixel through lens and pixel. (h, w)"""
-
     width, height = camera.size
     fine = np.empty((height * samples, width * samples))
     across = (np.arange(width * samples) + 0.5) / samples - 0.5

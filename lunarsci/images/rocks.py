@@ -155,7 +155,6 @@ def height_over_ground(model: ElevationModel, largest_m: float) -> FloatArray:
 
 def _peaks(model: ElevationModel, above: FloatArray, largest_m: float, least: float) -> Peaks:
     """Nodes that stand out most among those within their own scale."""
-
     significance, scale = _standing_out(model, above, largest_m)
     alone = max(3, round(0.06 / model.spacing_m)) | 1
     rows, columns = np.nonzero((significance >= least) & (significance == maximum_filter(significance, alone)))
@@ -246,7 +245,6 @@ def _rocks_of(model: ElevationModel, above: FloatArray, peaks: Peaks) -> tuple[P
 
 def _measured(model: ElevationModel, above: FloatArray, peaks: Peaks, number: int) -> DetectedRock:
     """Middle, diameter and height of what stands out at a node."""
-
     row, column, z = int(peaks.rows[number]), int(peaks.columns[number]), float(peaks.significance[number])
     inner, outer = (share * max(float(peaks.scale_m[number]), 0.05) / model.spacing_m for share in AROUND)
     reach = math.ceil(outer) + 1

@@ -146,7 +146,6 @@ def xml_root(name: str, data: bytes) -> Element:
     Whatever could expand or fetch something needs a document type declaration, and the label of a data product has no
     use for one. Raises DataError for such a declaration, broken XML, and more than 256 levels.
     """
-
     builder = TreeBuilder()
     parser = expat.ParserCreate("utf-8")
     depth = 0

@@ -169,7 +169,6 @@ def parquet_tables(stream: InputStream) -> "Iterator[pd.DataFrame]":
 
 def csv_bytes(table: "pd.DataFrame") -> bytes:
     """A table as CSV, nine significant digits: by Arrow, which writes ten times as fast as pandas."""
-
     columns = {str(name): _written(table[name]) for name in table}
     head = io.StringIO()
     csv.writer(head, lineterminator="\n").writerow(columns)
@@ -178,7 +177,6 @@ def csv_bytes(table: "pd.DataFrame") -> bytes:
 
 def _written(column: "pd.Series") -> Any:
     """A column as records have it."""
-
     if column.dtype.kind in "iu":
         return column.to_numpy()
     if column.dtype.kind == "f":

@@ -444,7 +444,6 @@ def arrays_in_blocks(
     work: Callable[[Any], Arrays], total: int, rows: int, **how: Any
 ) -> dict[str, np.ndarray[Any, Any]]:
     """Whole arrays of `total` rows, of what `blocks_in_order`, whose parameters these are, gives block by block."""
-
     whole: dict[str, np.ndarray[Any, Any]] = {}
     for block, arrays in blocks_in_order(work, total, rows, **how):
         for name, values in arrays.items():

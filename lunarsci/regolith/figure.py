@@ -55,7 +55,7 @@ Named = list[tuple[str, float, float]]
 
 def comparison_figure(
     site: Site, soils: Sequence[SoilComparison], width_m: float, curves: Curves | None = None
-) -> "Figure":
+) -> Figure:
     """Bearing; shear beside terrestrial soils and simulants; shear beside lunar missions; lateral shear.
 
     Parameters
@@ -177,7 +177,7 @@ def forces_over_slip(
     side_slip_deg: float,
     reading: ShearSign,
     model: ContactModel | None = None,
-) -> "Figure":
+) -> Figure:
     """Normal force, drawbar pull and lateral force against slip at one sinkage, with the asked states marked."""
 
     def forces(slip: Any) -> WheelForces | ContactForces:
@@ -203,7 +203,7 @@ def forces_over_slip(
     return figure
 
 
-def traction_over_slip(rows: Sequence[Mapping[str, Any]], figures: Traction, load_n: float) -> "Figure":
+def traction_over_slip(rows: Sequence[Mapping[str, Any]], figures: Traction, load_n: float) -> Figure:
     """Pull per weight and tractive efficiency over slip, above; torque and sinkage below; 20 % slip marked."""
     figure = page(5.4, 5.2)
     pull, effort = figure.subplots(2, 1, sharex=True)
@@ -231,7 +231,7 @@ def traction_over_slip(rows: Sequence[Mapping[str, Any]], figures: Traction, loa
     return figure
 
 
-def characteristic_curves(result: Identification, *, synthetic: bool = False) -> "Figure":
+def characteristic_curves(result: Identification, *, synthetic: bool = False) -> Figure:
     """The pairs (N, K_s), (c, phi), (K_y, phi_y) that the states allow, with 95 % bands, one panel per aspect."""
     figure = page(3.6)
     bearing, shear, lateral = figure.subplots(1, 3)
@@ -289,7 +289,7 @@ def belief_history_figure(
     names: tuple[str, str] = ("", ""),
     *,
     synthetic: bool = False,
-) -> "Figure":
+) -> Figure:
     """One panel for each parameter; a second belief beside the first where there is one.
 
     Bars are 68 %; the band is the interval of the priors. Drives from which nothing was learned are crossed. What two
@@ -334,7 +334,7 @@ SOILS = 512
 """Drawn of a belief for its density; where it holds a population, that in turn."""
 
 
-def belief_figure(belief: SoilBelief, title: str, *, synthetic: bool = False) -> "Figure":
+def belief_figure(belief: SoilBelief, title: str, *, synthetic: bool = False) -> Figure:
     """What a belief says of the soil: each parameter before any drive and now, as the posterior of `infer`.
 
     Intervals are those of `SoilBelief.intervals`, the density that of its soils.
@@ -361,7 +361,7 @@ def posterior_figure(
     title: str,
     *,
     synthetic: bool = False,
-) -> "Figure":
+) -> Figure:
     """Prior and posterior density of each parameter; bars are the 68 and 95 % intervals of the posterior.
 
     Parameters

@@ -55,7 +55,6 @@ class VarianceLaw:
 
     def half_width(self, probability: float) -> float:
         """The share that is not exceeded to either side with this probability. [-]"""
-
         return float(self.scale * stdtrit(self.degrees, 0.5 + 0.5 * probability))
 
     def sizes(self, count: int, random: np.random.Generator) -> FloatArray:
@@ -64,7 +63,6 @@ class VarianceLaw:
 
     def grid(self) -> tuple[FloatArray, FloatArray]:
         """Logarithms of variances, and ln of their density up to a constant. (GRID,), (GRID,)"""
-
         spread = float(np.sqrt(polygamma(1, 0.5 * self.degrees)))
         ln_variance = 2.0 * math.log(self.scale) + spread * np.linspace(-REACH, REACH, GRID)
         density = -0.5 * self.degrees * (ln_variance + self.scale**2 * np.exp(-ln_variance))

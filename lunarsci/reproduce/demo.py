@@ -66,7 +66,7 @@ class SeenGround:
     """A SYNTHETIC stereo pair of the ground ahead, the heights found in it, and one of them beside its truth."""
 
     pictures: dict[str, bytes]
-    heights: "StereoTerrain"
+    heights: StereoTerrain
     height_m: float
     sigma_m: float
     truth_m: float
@@ -74,7 +74,6 @@ class SeenGround:
 
 def _ground_ahead(seed: int) -> SeenGround | None:
     """Pictures of the terrain of the drive with a camera of few pixels, and heights from them; None without OpenCV."""
-
     if find_spec("cv2") is None:
         return None
     with TemporaryDirectory() as name:
@@ -261,7 +260,6 @@ class Demonstration(Result):
 
     def _page(self, drawn: Mapping[str, Callable[[], bytes]]) -> bytes:
         """Findings and pictures as a page, with the ground of the drive; without time, as all its files."""
-
         made, prediction = self.made_from, self.drive.prediction
         record = Provenance(command="lunarsci demo", tables=made.tables, sources=made.sources, seed=self.seed)
         pictures = {name: draw() for name, draw in drawn.items()}
@@ -321,31 +319,26 @@ def _soil_findings(soil: Identification, truth: Soil) -> list[dict[str, Any]]:
 
 
 def _pictures(the_rock: StudiedRock, the_drive: PredictedDrive, soil: Identification) -> dict[str, Callable[[], bytes]]:
-    def picture(name: str, figures: "Iterable[Figure]") -> bytes:
+    def picture(name: str, figures: Iterable[Figure]) -> bytes:
         return picture_bytes(figures, Path(name))
 
     def calibration() -> bytes:
-
         return picture("calibration.png", calibration_pages([the_rock.calibration]))
 
     def bands() -> bytes:
-
         return picture("bands.png", band_pages([the_rock.bands]))
 
     def fit() -> bytes:
-
         return picture("fit.png", fit_pages([the_rock.fit]))
 
     def shares() -> bytes:
         return picture("shares.png", the_rock.shares.figures())
 
     def path() -> bytes:
-
         with styled():
             return picture("drive.png", [path_fan(the_drive.prediction, the_drive.verdict)])
 
     def curves() -> bytes:
-
         with styled():
             return picture("soil.png", [characteristic_curves(soil, synthetic=True)])
 

@@ -216,7 +216,6 @@ def _strong_soil(drives: Drives) -> Answer:
 
 def _turn(rolling: Rolling) -> float:
     """Downhill slope on which the slip is the same at both ends of phi. [deg]"""
-
     weak, strong = map(_soil, PHI_DEG)
 
     def rise(slope_deg: float) -> float:
@@ -278,13 +277,13 @@ PUBLISHED = {
 COLUMNS = {"slip_ratio": 3, "side_slip_deg": 4}
 
 
-def drive_pages(drives: Drives) -> "Iterator[Figure]":
+def drive_pages(drives: Drives) -> Iterator[Figure]:
     """Two pages: fans of paths with their ends (Fig. 3), and slip and side slip by soil (Fig. S6)."""
     yield _fans(drives.stand_in)
     yield _slips(drives)
 
 
-def _fans(prediction: Prediction) -> "Figure":
+def _fans(prediction: Prediction) -> Figure:
     figure = page(6.8)
     parts: Any = figure.subfigures(2, 1)
     fans = ((PHI, K_Y, TYPICAL_K_Y_MM, "ab"), (K_Y, PHI, TYPICAL_PHI_DEG, "cd"))
@@ -322,7 +321,7 @@ def _colors(values: FloatArray) -> Any:
     return _scale(values).to_rgba(values)
 
 
-def _draw_fan(axes: "Axes", prediction: Prediction, parameter: str, members: Any, contour_m: float) -> None:
+def _draw_fan(axes: Axes, prediction: Prediction, parameter: str, members: Any, contour_m: float) -> None:
     draw_ground(axes, prediction.terrain, map_window(prediction, prediction.terrain, 2.2), contour_m)
     draw_planned(axes, prediction)
     values = prediction.parameters[parameter][members]
@@ -334,9 +333,8 @@ def _draw_fan(axes: "Axes", prediction: Prediction, parameter: str, members: Any
     axes.plot(end[0], end[1], "*", color=GOLD, markeredgecolor=INK, markersize=11, zorder=8)
 
 
-def _draw_ends(axes: "Axes", prediction: Prediction, parameter: str, members: Any) -> None:
+def _draw_ends(axes: Axes, prediction: Prediction, parameter: str, members: Any) -> None:
     """Enlarged about the destination, with the published circle and that which holds every end of all soils."""
-
     target = prediction.planned[-1, :2]
     values = prediction.parameters[parameter][members]
     ends = prediction.endpoints_m[members]
@@ -356,7 +354,7 @@ def _draw_ends(axes: "Axes", prediction: Prediction, parameter: str, members: An
     axes.set_ylim(target[1] - half, target[1] + half)
 
 
-def _slips(drives: Drives) -> "Figure":
+def _slips(drives: Drives) -> Figure:
     figure = page(4.0)
     slip, side, rolling = figure.subplots(1, 3)
     _boxes(slip, drives.stand_in, PHI, "slip_ratio", "a  on the stand-in")
@@ -366,7 +364,7 @@ def _slips(drives: Drives) -> "Figure":
     return figure
 
 
-def _boxes(axes: "Axes", prediction: Prediction, parameter: str, quantity: str, title: str) -> None:
+def _boxes(axes: Axes, prediction: Prediction, parameter: str, quantity: str, title: str) -> None:
     """All wheel states for each value of a parameter, and the published medians at both ends."""
     values = prediction.states[..., COLUMNS[quantity]]
     values = np.abs(values) if quantity == "side_slip_deg" else values
@@ -392,9 +390,8 @@ def _boxes(axes: "Axes", prediction: Prediction, parameter: str, quantity: str, 
     _legend(axes)
 
 
-def _rolling(axes: "Axes", drives: Drives) -> None:
+def _rolling(axes: Axes, drives: Drives) -> None:
     """Steady rolling against the slope, and the medians on each ground: why the trend of the slip differs."""
-
     rolling, soil = Rolling.of(drives.rover), read_soil(SOIL)
     slopes = np.linspace(0.0, 12.0, 25)
     phis = np.array([PHI_DEG[0], TYPICAL_PHI_DEG, PHI_DEG[1]])
@@ -420,5 +417,5 @@ def _rolling(axes: "Axes", drives: Drives) -> None:
     _legend(axes)
 
 
-def _legend(axes: "Axes") -> None:
+def _legend(axes: Axes) -> None:
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), frameon=False)

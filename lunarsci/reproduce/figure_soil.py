@@ -106,9 +106,8 @@ LONGJI = ("Longji", "lunar soil, nominal")
 """Rows of the tables of soils that are what is compared."""
 
 
-def soil_pages(wheel: Wheel) -> "Iterator[Figure]":
+def soil_pages(wheel: Wheel) -> Iterator[Figure]:
     """Three pages: panels a, b and d of Fig. 4; panel c, whose missions are many; and the histograms of Fig. S13."""
-
     title = "Soil parameters at Longji after Fig. 4 of Ding et al. (2024)"
     figure = page(8.4)
     parts: Any = figure.subfigures(2, 1, height_ratios=(5.4, 2.8))
@@ -129,28 +128,27 @@ def soil_pages(wheel: Wheel) -> "Iterator[Figure]":
     yield _histograms(wheel)
 
 
-def _region(axes: "Axes", x: Sequence[float], y: Sequence[float], dots: Sequence[tuple[float, float]]) -> None:
+def _region(axes: Axes, x: Sequence[float], y: Sequence[float], dots: Sequence[tuple[float, float]]) -> None:
     """The published rectangle and its dots."""
-
     corner, size = (min(x), min(y)), (max(x) - min(x), max(y) - min(y))
     axes.add_patch(Rectangle(corner, *size, facecolor=REGION, alpha=0.55, zorder=1, label="published region"))
     axes.plot(*np.transpose(dots), "o", color=DOT, markersize=6, zorder=6, label="published dots")
 
 
-def _finish(axes: "Axes", title: str, x: str, y: str) -> None:
+def _finish(axes: Axes, title: str, x: str, y: str) -> None:
     axes.set_title(title, loc="left")
     axes.set_xlabel(x)
     axes.set_ylabel(y)
     axes.grid()
 
 
-def _typical(axes: "Axes", x: float, y: float, label: str) -> None:
+def _typical(axes: Axes, x: float, y: float, label: str) -> None:
     look: dict[str, Any] = {"color": TYPICAL_COLOR, "linestyle": "-.", "linewidth": 1.1, "zorder": 2}
     axes.axvline(x, **look)
     axes.axhline(y, label=label, **look)
 
 
-def _bearing_panel(axes: "Axes", wheel: Wheel) -> Named:
+def _bearing_panel(axes: Axes, wheel: Wheel) -> Named:
     """Pairs (N, K_s) that carry the load at each sinkage; returns the soils to be named."""
     named: Named = []
     stiffness = [dot[0] for dot in BEARING_DOTS]
@@ -192,7 +190,7 @@ def _short(name: str) -> str:
     return "\n".join(textwrap.wrap(name.replace(" % water", "\u00a0%"), 22))
 
 
-def _shear_panel(axes: "Axes", wheel: Wheel) -> Named:
+def _shear_panel(axes: Axes, wheel: Wheel) -> Named:
     """Pairs (c, phi) of both curves with a published point, each with the drawbar pull that puts it there."""
     named: Named = []
     corners = ((COHESION_PA, PHI_DEG, SLIP), (CORNER[1], CORNER[0], -1e-6))
@@ -226,7 +224,7 @@ def _shear_curve(wheel: Wheel, cohesion: float, phi: float, slip: float) -> tupl
         return pull, x, inversion.friction_angle(solved[0], solved[1], solved[4], x)
 
 
-def _missions(axes: "Axes") -> None:
+def _missions(axes: Axes) -> None:
     """Ranges of other missions, each with a marker of its own: colours are programmes."""
     _region(axes, [COHESION_PA, CORNER[1]], [PHI_DEG, CORNER[0]], [(COHESION_PA, PHI_DEG), (CORNER[1], CORNER[0])])
     for number, soil in enumerate(_others("lunar")):
@@ -243,7 +241,7 @@ def _missions(axes: "Axes") -> None:
     _finish(axes, title, "cohesion c [Pa]", "internal friction angle φ [°]")
 
 
-def _lateral_panel(axes: "Axes", wheel: Wheel) -> None:
+def _lateral_panel(axes: Axes, wheel: Wheel) -> None:
     """Pairs (K_y, phi_y) at both ends of the side slip, each with the lateral force that puts it through its dot."""
     moduli, angles = zip(*LATERAL_CORNERS, strict=True)
     _region(axes, moduli, angles, LATERAL_CORNERS)
@@ -274,8 +272,7 @@ def _lateral_curve(wheel: Wheel, modulus_mm: float, angle_deg: float, beta_deg: 
         return force, x, inversion.external_friction_angle(solved[0], solved[2], solved[5], x, COHESION_PA)
 
 
-def _histograms(wheel: Wheel) -> "Figure":
-
+def _histograms(wheel: Wheel) -> Figure:
     figure = page(3.1)
     panels = figure.subplots(1, 3)
     for axes, item, letter in zip(panels, histograms(wheel), "abc", strict=True):

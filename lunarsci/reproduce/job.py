@@ -35,18 +35,17 @@ ROVER = "yutu2"
 class Reproduction(Result):
     """The numbers, and what they and the figures are made from; `inputs` and `tables` are hashes by name."""
 
-    description: "RoverDescription"
+    description: RoverDescription
     parts: Sequence[str]
-    numbers: "list[Number]" = field(default_factory=list)
-    rocks: "Rocks | None" = None
-    drives: "Drives | None" = None
+    numbers: list[Number] = field(default_factory=list)
+    rocks: Rocks | None = None
+    drives: Drives | None = None
     inputs: dict[str, str] = field(default_factory=dict)
     tables: dict[str, str] = field(default_factory=dict)
     schema = "reproduce/1"
 
     @property
     def made_from(self) -> MadeFrom:
-
         options = {} if self.parts == ("spectra",) else {"rover": self.description.origin}
         soils = sources_of(reference_soils()) if "soil" in self.parts else []
         return MadeFrom(inputs=self.inputs, tables=self.tables, sources=[PAPER, *soils], options=options)
@@ -54,7 +53,6 @@ class Reproduction(Result):
     @property
     def verdicts(self) -> dict[str, int]:
         """How many numbers have each verdict."""
-
         counts = Counter(number.verdict for number in self.numbers)
         return {verdict: counts[verdict] for verdict in VERDICTS if counts[verdict]}
 
@@ -65,8 +63,7 @@ class Reproduction(Result):
         """One a number."""
         return [number.to_dict() for number in self.numbers]
 
-    def figures(self) -> "Iterator[Figure]":
-
+    def figures(self) -> Iterator[Figure]:
         pages: dict[str, Callable[[], Any]] = {
             "spectra": lambda: spectra_pages(self.rocks),
             "soil": lambda: soil_pages(read_wheel(self.description)),
@@ -80,7 +77,6 @@ def reproduce(
     request: ReproduceRequest | None = None, *, progress: Progress | None = None, **options: Any
 ) -> Reproduction:
     """Compute the numbers of a part, or of all, and judge them by those that are published."""
-
     asked = request_of(ReproduceRequest, request, options)
     update = progress or (lambda done, total: None)
     description = read_rover(asked.rover or ROVER)
@@ -106,7 +102,6 @@ def _within(update: Progress, before: int, share: int, total: int) -> Progress:
 
 
 def _with_spectra(made: Reproduction, rocks: Sequence[str], update: Progress) -> Reproduction:
-
     sources = [read_input(path) for path in expand_inputs(rocks)]
     spectra = [spectrum for source in sources for spectrum in read_spectra(source)]
     fitted = fit_rocks(boulders(spectra), update) if sources else None
@@ -120,13 +115,11 @@ def _with_spectra(made: Reproduction, rocks: Sequence[str], update: Progress) ->
 
 
 def _with_soil(made: Reproduction) -> Reproduction:
-
     numbers = made.numbers + soil_numbers(read_wheel(made.description))
     return replace(made, tables=made.tables | reference_hash() | prior_hash(), numbers=numbers)
 
 
 def _with_drive(made: Reproduction, update: Progress) -> Reproduction:
-
     drives = predicted_drives(build_rover(made.description), update)
     tables, numbers = made.tables | soil_hash(SOIL)[1], made.numbers + drive_numbers(drives)
     return replace(made, drives=drives, tables=tables, numbers=numbers)

@@ -76,7 +76,6 @@ class Rolling:
 
 
 def _root(function: Callable[[float], float], span: tuple[float, float], text: str) -> float:
-
     if function(span[0]) * function(span[1]) > 0:
         raise ParameterError(f"{text}; take another rover or soil")
     return float(brentq(function, *span, xtol=1e-9))

@@ -308,9 +308,8 @@ PYROXENE_MARKS = (
 PUBLISHED = "#c0392b"
 
 
-def spectra_pages(rocks: Rocks | None) -> "Iterator[Figure]":
+def spectra_pages(rocks: Rocks | None) -> Iterator[Figure]:
     """The plane of the centres (Fig. 5b) and, with boulders, the fit of the one that fits best when smoothed (5c)."""
-
     yield _plane(rocks)
     if rocks is not None:
         best = min(rocks.smoothed, key=lambda fit: fit.rms_ln)
@@ -321,7 +320,7 @@ def spectra_pages(rocks: Rocks | None) -> "Iterator[Figure]":
             yield figure
 
 
-def _plane(rocks: Rocks | None) -> "Figure":
+def _plane(rocks: Rocks | None) -> Figure:
     """Fields and trend, the minerals behind them, what is published as about, and boulders where there are any."""
     figure = next(iter(plane_pages(rocks.bands if rocks else ())))
     axes = figure.axes[0]

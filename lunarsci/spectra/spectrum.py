@@ -137,7 +137,6 @@ def scatter_noise(values: FloatArray, window: int = 61) -> FloatArray:
 
     von Neumann, Kent, Bellinson & Hart (1941), Ann. Math. Stat. 12, 153, 10.1214/aoms/1177731746, in robust form.
     """
-
     noise: FloatArray = scatter_noise_rows(np.asarray(values, dtype=np.float64)[None], window)[0]
     return noise
 

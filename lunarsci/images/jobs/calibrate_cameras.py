@@ -59,7 +59,6 @@ FIRST = 3
 
 def board_target(request: CalibrateCamerasRequest) -> BoardTarget:
     """The board as a target. Raises ParameterError."""
-
     columns, rows = map(int, request.board.split("x"))
     return BoardTarget(
         kind=request.target,
@@ -94,7 +93,6 @@ class CalibratedCameras(Result):
     @property
     def swapped(self) -> bool:
         """Whether the camera of the right pictures stands left of the other one."""
-
         return len(self.calibration.cameras) > 1 and is_swapped(self.calibration.translation_m)
 
     @property
@@ -109,7 +107,6 @@ class CalibratedCameras(Result):
         return f"these pictures do not determine the {vital[0]}" if vital else ""
 
     def to_dict(self) -> dict[str, Any]:
-
         fit = self.calibration
         cameras = [
             {"width_px": camera.width_px, "height_px": camera.height_px}
@@ -136,7 +133,6 @@ class CalibratedCameras(Result):
 
     def _numbers(self, index: int) -> dict[str, float]:
         """Intrinsics of a camera with their errors."""
-
         vector = self.calibration.cameras[index].vector()
         sigma = self.calibration.covariance.diagonal()[9 * index : 9 * index + 9] ** 0.5
         cells: dict[str, float] = {}
@@ -146,7 +142,6 @@ class CalibratedCameras(Result):
 
     def _corner(self, index: int) -> float:
         """Largest uncertainty of a direction at the picture's corners. [px]"""
-
         right, low = (n - 1.0 for n in self.calibration.cameras[index].size)
         places = np.array([[u, v] for u in np.linspace(0, right, 7) for v in np.linspace(0, low, 7)])
         return float(np.nanmax(self.calibration.uncertainty_px(index, places)))
@@ -200,7 +195,6 @@ class CalibratedCameras(Result):
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """One a picture: points found, and what is left of them."""
-
         left: dict[str, Any] = {}
         for index, rows in enumerate(self.calibration.residuals):
             for k, names in enumerate(self.used):
@@ -218,14 +212,12 @@ class CalibratedCameras(Result):
         ]
 
     def figures(self) -> "Iterator[Figure]":
-
         from lunarsci.images.figures import calibration_page
 
         yield calibration_page(self.calibration, self.request.name)
 
     def rig(self) -> StereoRig:
         """The stereo rig. Raises ParameterError for a single camera."""
-
         if len(self.calibration.cameras) < 2:
             raise ParameterError("one camera is no stereo rig; give the right camera's pictures too, as `right`")
         return StereoRig(
@@ -241,7 +233,6 @@ class CalibratedCameras(Result):
 
     def toml(self) -> bytes:
         """The file of the rig, or of the camera, that `images cameras` reads."""
-
         if len(self.calibration.cameras) > 1:
             return rig_text(self.rig()).encode()
         camera, covariance = self.calibration.cameras[0], self.calibration.covariance
@@ -255,7 +246,6 @@ class CalibratedCameras(Result):
 
 def _with_scale(fit: CameraCalibration, square_error: float) -> CameraCalibration:
     """The calibration with the error of the target's size in its translation."""
-
     covariance = fit.covariance.copy()
     if len(fit.cameras) > 1:
         covariance[-3:, -3:] += square_error**2 * np.outer(fit.translation_m, fit.translation_m)
@@ -263,13 +253,11 @@ def _with_scale(fit: CameraCalibration, square_error: float) -> CameraCalibratio
 
 
 def _rms(rows: Any) -> float:
-
     return float(np.sqrt(np.mean(rows[:, 3:] ** 2)))
 
 
 def _seen_share(fit: CameraCalibration, index: int) -> float:
     """Share of the cells of a picture, 8 x 8, in which a point of the board was seen."""
-
     size = np.array(fit.cameras[index].size, dtype=float)
     cells = np.clip((fit.residuals[index][:, 1:3] / size * CELLS).astype(int), 0, CELLS - 1)
     return len(np.unique(cells, axis=0)) / CELLS**2
@@ -290,7 +278,6 @@ def calibrate_cameras(
     order. Raises RequestError, ParameterError, and DataError where the board is not found, is another one, or is seen
     too seldom or from one side.
     """
-
     asked = request_of(CalibrateCamerasRequest, request, options)
     target, steps = board_target(asked), progress or (lambda *_: None)
     first = pictures_matching([pictures]) if isinstance(pictures, str) else pictures
@@ -328,7 +315,6 @@ def _sightings(pictures: Sequence[Picture], target: BoardTarget, step: Callable[
 
     Raises DataError where the board is another one.
     """
-
     seen: list[Sighting | None] = []
     for k, picture in enumerate(pictures):
         seen.append(find_target(picture, target, patient=False))

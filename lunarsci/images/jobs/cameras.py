@@ -61,7 +61,6 @@ class CameraSheet(Result):
         }
 
     def _rig(self, rig: StereoRig) -> dict[str, Any]:
-
         sigmas = rig.sigmas if rig.covariance.any() else {}
         numbers = {side: _numbers(getattr(rig, side), sigmas, f"{side}_") for side in ("left", "right")}
         relative = {
@@ -83,7 +82,6 @@ class CameraSheet(Result):
 
     def ranges(self, rig: StereoRig, ranges_m: Sequence[float] = RANGES_M) -> list[dict[str, float]]:
         """Of a point in the middle of the view: disparity, size of a pixel, and errors of its range, by range."""
-
         focal, rows = rig.left.fx_px, []
         way = rig.left.rays([0.5 * (rig.left.width_px - 1), 0.5 * (rig.left.height_px - 1)])
         way = way / np.linalg.norm(way)
@@ -109,7 +107,6 @@ class CameraSheet(Result):
         return [{"name": rig.name} | row for rig in self.rigs for row in self.ranges(rig)]
 
     def figures(self) -> "Iterator[Figure]":
-
         from lunarsci.images.figures import range_page
 
         if not self.rigs:
@@ -124,7 +121,6 @@ class CameraSheet(Result):
 
     def toml(self) -> bytes:
         """The file of the one rig, which `images dem` reads. Raises ParameterError for none or several."""
-
         if len(self.rigs) != 1:
             raise ParameterError(f"a file holds one rig, not {len(self.rigs)}; name one, or two labels, left and right")
         return rig_text(self.rigs[0]).encode()
@@ -132,7 +128,6 @@ class CameraSheet(Result):
 
 def _numbers(camera: Camera, sigmas: Mapping[str, float], before: str = "") -> dict[str, Any]:
     """Size, intrinsics with errors, and field of view of a camera."""
-
     cells: dict[str, Any] = {"width_px": camera.width_px, "height_px": camera.height_px}
     for name in INTRINSICS:
         cells |= {name: getattr(camera, name), f"{name}_sigma": sigmas.get(f"{before}{name}")}
@@ -141,7 +136,6 @@ def _numbers(camera: Camera, sigmas: Mapping[str, float], before: str = "") -> d
 
 
 def _alone(name: str, one: LabelCamera | SingleCamera) -> dict[str, Any]:
-
     if isinstance(one, SingleCamera):
         sigmas = dict(zip(INTRINSICS, map(float, one.covariance.diagonal() ** 0.5), strict=True))
         return {"name": name, **_numbers(one.camera, sigmas), "remarks": [f"source: {one.source}"]}
@@ -163,7 +157,6 @@ def cameras(sources: Sequence[Source] = (), request: CamerasRequest | None = Non
     A label, or a file of ROS or OpenCV with one camera, alone is one camera; two are the left and the right one of a
     rig. Raises RequestError and DataError.
     """
-
     asked = request_of(CamerasRequest, request, options)
     given = [sources] if isinstance(sources, str) else list(sources)
     files: list[Any] = [None if one in rig_names() else read_input(one) for one in given]
@@ -191,7 +184,6 @@ def _of_pair(
     files: list[InputFile], unit: LengthUnit | None
 ) -> tuple[list[StereoRig], dict[str, LabelCamera | SingleCamera]]:
     """The rig of two labels or files of ROS or OpenCV, and cameras of one, or of labels. Raises DataError."""
-
     if len(files) > 2:
         raise RequestError(f"{len(files)} labels; give one, or those of the left and the right picture")
     written = rig_or_camera(files, unit)

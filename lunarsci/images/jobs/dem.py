@@ -69,7 +69,6 @@ class StereoTerrain(Result):
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """One a ring of ranges: nodes, and medians of their errors."""
-
         model = self.model
         x, y = np.meshgrid(model.x_m - self.pose.center_m[0], model.y_m - self.pose.center_m[1])
         away = np.sqrt(x**2 + y**2 + (model.height_m - self.pose.center_m[2]) ** 2)
@@ -86,7 +85,6 @@ class StereoTerrain(Result):
         return rings
 
     def figures(self) -> "Iterator[Figure]":
-
         from lunarsci.images.figures import dem_figure
 
         yield dem_figure(self.model, self.matches, self.pose)
@@ -116,7 +114,6 @@ def dem(
 
     Raises DataError where the pictures are none, do not belong to the rig or do not match, and says why.
     """
-
     asked = request_of(DemRequest, request, options)
     rig = read_rig(*asked.rig.split(",")) if asked.rig.count(",") == 1 else read_rig(asked.rig)
     files = read_input(left), read_input(right)
@@ -145,7 +142,6 @@ def dem(
 
 def nearest_ground_m(rig: StereoRig, pose: Pose | None, mast_m: float) -> float:
     """Depth of what may be nearest in a picture of level ground, with a quarter to spare for what stands on it. [m]"""
-
     if pose is None:
         return max(0.6 * mast_m, 0.6 * rig.nearest_m)
     width, height = rig.left.size

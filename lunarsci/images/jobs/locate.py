@@ -62,7 +62,6 @@ class LocatedStations(Result):
 
     @property
     def untrusted(self) -> str:
-
         for number, station in enumerate(self.localised.stations):
             if not self.localised.tied[number]:
                 why = "; ".join(r.failure for r in self.localised.reports if r.second == number and r.failure)
@@ -101,11 +100,9 @@ class LocatedStations(Result):
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """One a station, in the columns that `twin states`, `twin update` and `images merge` read of positions."""
-
         return [self._row(k) for k in range(len(self.localised.stations))]
 
     def _row(self, k: int) -> dict[str, Any]:
-
         station, pose = self.localised.stations[k], self.localised.poses[k]
         place, before = self.localised.place(k), self.localised.shared(k, max(k - 1, 0))
         errors = self.localised.shared(k, k) if k else np.diag([0.0] * 3 + [FIRST_M**2] * 3)
@@ -130,7 +127,6 @@ class LocatedStations(Result):
 
     def files(self) -> dict[str, Callable[[], bytes]]:
         """Positions, poses for `images dem`, and shifts of elevation models made with them: name to what makes it."""
-
         result = self.localised
         made: dict[str, Callable[[], bytes]] = {"positions.csv": lambda: csv_bytes(self.to_table().to_pandas())}
         for station, pose in zip(result.stations, result.poses, strict=True):
@@ -151,7 +147,6 @@ class LocatedStations(Result):
         )
 
     def figures(self) -> "Iterator[Figure]":
-
         from lunarsci.images.figures import ties_figure
 
         if not self.localised.pairs:
@@ -196,7 +191,6 @@ def locate(
 
     Raises DataError for folders that are none and pairs that do not match, RequestError for fewer than two.
     """
-
     asked = request_of(LocateRequest, request, options)
     if len(stations) < 2:
         raise RequestError("one station has nothing to be tied to; give two or more folders")
@@ -241,7 +235,6 @@ class _Read(NamedTuple):
 
 def _read(folder: Path, rig: StereoRig, asked: LocateRequest, inputs: dict[str, str]) -> _Read:
     """A station's folder; `inputs` takes its files. Raises DataError for what belongs to no station of this rig."""
-
     pose_file = read_input(folder / "pose.toml")
     files = [read_input(_picture(folder, side)) for side in SIDES]
     for file in files:
@@ -264,7 +257,6 @@ def _read(folder: Path, rig: StereoRig, asked: LocateRequest, inputs: dict[str, 
 
 def _station(name: str, content: _Read, rig: StereoRig, asked: LocateRequest, before: Station | None) -> Station:
     """A station with its pair matched. Raises DataError where it does not match."""
-
     nearest = nearest_ground_m(rig, content.pose, rig.height_m)
     return Station(
         name=name,
@@ -278,7 +270,6 @@ def _station(name: str, content: _Read, rig: StereoRig, asked: LocateRequest, be
 
 def _more_of_pose(file: InputFile) -> tuple[float | None, tuple[float, ...] | None]:
     """Time, and yaw, pitch and roll of the rover, of a pose.toml; None where it does not say them. Raises DataError."""
-
     table = toml_document(text(file))
     given = [name for name in ("time_s", *ATTITUDE) if name in table]
     for name in given:
@@ -290,7 +281,6 @@ def _more_of_pose(file: InputFile) -> tuple[float | None, tuple[float, ...] | No
 
 def _rover(rig: StereoRig, pose: Pose, attitude: Sequence[float], mast_m: Sequence[float]) -> Pose:
     """The rover's frame in that of the left camera: the middle between both cameras is `mast_m` in the rover's."""
-
     turned = pose.rotation.T @ Rotation.from_euler("ZYX", attitude, degrees=True).as_matrix()
     middle = -0.5 * rig.rotation.T @ rig.translation_m
     return Pose(rotation=turned, center_m=middle - turned @ np.asarray(mast_m))
@@ -306,7 +296,6 @@ def _picture(folder: Path, side: str) -> Path:
 
 def _covariance(pose: Pose, before: Station | None, asked: LocateRequest) -> FloatArray:
     """Of dead reckoning: of direction, and of the step from the station before. (6, 6)"""
-
     way = 0.0 if before is None else float(np.linalg.norm(pose.center_m - before.pose.center_m))
     step = math.hypot(asked.drift * way, LEAST_DRIFT_M)
     tilt, turn = math.radians(asked.tilt_error), math.radians(asked.heading_error)

@@ -68,7 +68,6 @@ class MergedStations(Result):
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """One a station: what it was found to be off by, with errors; the offset in units of its common error."""
-
         sigma = np.sqrt(np.diag(self.merged.covariance)).reshape(self.merged.corrections.shape)
         rows = []
         for k, (name, model) in enumerate(zip(self.names, self.models, strict=True)):
@@ -80,14 +79,12 @@ class MergedStations(Result):
         return rows
 
     def figures(self) -> "Iterator[Figure]":
-
         from lunarsci.images.figures import merge_page
 
         yield merge_page(self.merged)
 
     def files(self) -> dict[str, Callable[[], bytes]]:
         """The map as the formats that have errors: ending to what makes the content."""
-
         model = self.merged.model
         return {
             ".npz": lambda: elevation_bytes(model),
@@ -107,7 +104,6 @@ def merge(
 
     Raises DataError, RequestError, and ParameterError where nothing overlaps.
     """
-
     asked = request_of(MergeRequest, request, options)
     names = [terrains] if isinstance(terrains, str) else list(terrains)
     inputs = {name: read_input(name).sha256 for name in names}
@@ -123,7 +119,6 @@ def merge(
 
 def read_positions(source: InputFile, count: int) -> list[StationPosition]:
     """Positions of stations from CSV, a row for each. Raises DataError."""
-
     table = read_csv_table(source)
     for name in NEEDED[:2]:
         if name not in table:

@@ -77,11 +77,9 @@ class SyntheticPair(Result):
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """One a rock, as `ROCK_COLUMNS` says."""
-
         return [dict(zip(ROCK_COLUMNS, map(float, row), strict=True)) for row in self.landscape.rocks]
 
     def figures(self) -> "Iterator[Figure]":
-
         figure = page(3.9)
         headline(figure, f"{file_label(self.landscape.name)}, {self.rig.name}", synthetic=True)
         for axis, name in zip(figure.subplots(1, 2), ("left", "right"), strict=True):
@@ -92,7 +90,6 @@ class SyntheticPair(Result):
 
     def files(self) -> dict[str, Callable[[], bytes]]:
         """Pictures, the rig and pose that a solver is given, and the truth: name to what makes the content."""
-
         words = {"Comment": "SYNTHETIC, rendered by lunarsci", "Source": self.landscape.name}
         note = "# SYNTHETIC pictures were taken with a rig near this one; its own numbers are in truth.npz\n"
         return {
@@ -104,7 +101,6 @@ class SyntheticPair(Result):
         }
 
     def _truth_bytes(self) -> bytes:
-
         ground, poses = self.landscape, {"left": self.pair.left_pose, "right": self.pair.right_pose}
         truth = self.pair.truth
         arrays: dict[str, Any] = truth._asdict() | {"points_m": _rounded(truth.points_m)}
@@ -141,7 +137,6 @@ def render(
 
     Raises DataError for a terrain that cannot be read, ParameterError where a camera cannot be.
     """
-
     asked = request_of(RenderRequest, request, options)
     rig = read_rig(asked.rig)
     count = round(FLAT_M / COARSE_M) + 1
@@ -177,6 +172,5 @@ def render(
 
 def _heights(terrain: str) -> tuple[float, float, float, FloatArray]:
     """x0, y0, spacing and heights (ny, nx) of a terrain file. [m]"""
-
     model = read_elevation(terrain)
     return model.x0_m, model.y0_m, model.spacing_m, model.height_m

@@ -59,7 +59,6 @@ class RockList(Result):
         ]
 
     def figures(self) -> "Iterator[Figure]":
-
         from lunarsci.images.figures import rocks_page
 
         yield rocks_page(self.model, self.survey)
@@ -101,7 +100,6 @@ def rocks(
 
     Raises DataError, RequestError, and ParameterError for a grid too coarse.
     """
-
     asked = request_of(RocksRequest, request, options)
     inputs = {terrain: read_input(terrain).sha256}
     model = read_elevation(terrain)

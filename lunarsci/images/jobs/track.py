@@ -51,7 +51,6 @@ class TrackSinkage(Result):
 
     @property
     def untrusted(self) -> str:
-
         depths = self.depths
         if not depths.determined.any():
             return f"no depth is determined: {depths.reason[0]}"
@@ -66,7 +65,6 @@ class TrackSinkage(Result):
         return self.model.height_m_sigma is not None or self.depths.ground_scatter_m is not None
 
     def to_dict(self) -> dict[str, Any]:
-
         depths = self.depths
         systematic = depths.rut_m_systematic[depths.determined]
         shared = float(np.sqrt(np.mean(systematic**2))) if len(systematic) else None
@@ -91,7 +89,6 @@ class TrackSinkage(Result):
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """One a place; `x_m`, `y_m`, `rut_m` and `rut_m_sigma` are what `twin states --track` reads."""
-
         depths, whole = self.depths, 1.0 - self.rebound
         blank = np.where(depths.determined, 1.0, np.nan)
         sigma = np.hypot(depths.rut_m_random, depths.rut_m_systematic) * blank
@@ -110,7 +107,6 @@ class TrackSinkage(Result):
         return [row | {"status": reason or "ok"} for row, reason in zip(rows, depths.reason, strict=True)]
 
     def figures(self) -> "Iterator[Figure]":
-
         from lunarsci.images.figures import track_page
 
         yield track_page(self.model, self.line, self.width_m, self.depths)
@@ -143,7 +139,6 @@ def track(
     `terrain` is a file of heights with errors as layers. Raises DataError and RequestError, and ParameterError for a
     line that is none.
     """
-
     asked = request_of(TrackRequest, request, options)
     line = read_line(asked.line)
     inputs = {terrain: read_input(terrain).sha256}

@@ -96,7 +96,6 @@ def mode_with_errors(problem: JointProblem, start: FloatArray | None = None) -> 
 
 def _excess(problem: JointProblem, point: FloatArray) -> FloatArray:
     """Squared residuals of each state over what the worst of as many good ones may have. (n,)"""
-
     white = problem.white(point[None])[0]
     measured = np.isfinite(problem.forces).sum(axis=1)
     limit = chdtri(np.maximum(measured, 1), SIGNIFICANCE / len(white))

@@ -151,7 +151,6 @@ class SoilPosterior:
 
     def rows(self) -> list[dict[str, Any]]:
         """One row a parameter, in its unit: median, 68 % and 95 % intervals, the prior's, what the states add."""
-
         keys = ("median", "low68", "high68", "low95", "high95")
         before = np.array([0.0, *map(float, ndtri(LEVELS))])
         rows = []
@@ -589,7 +588,6 @@ def _misfit(mode: Mode, reduced: float | None, left: float, given: bool, states:
 
     Neither errors taken because the file has none nor a model error that was found are the user's to answer for.
     """
-
     unstated, problem = [COLUMNS.index(name) for name in states.unstated], mode.problem
     errors, forces = problem.input_sigma.copy(), problem.forces.copy()
     errors[:, [k for k in unstated if k < 3]] = 0.0
@@ -609,7 +607,6 @@ def _misfit(mode: Mode, reduced: float | None, left: float, given: bool, states:
 
 def least_chi_square(left: float) -> float:
     """Below which errors are too large for what so many degrees of freedom are left over."""
-
     return min(REDUCED[0] * left, float(chdtri(left, 1 - SIGNIFICANCE)))
 
 

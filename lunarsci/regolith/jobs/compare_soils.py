@@ -97,7 +97,6 @@ class ComparedSoils(Result):
         return [item.to_dict(self.width_m) for item in self.soils]
 
     def figures(self) -> "Iterator[Figure]":
-
         from lunarsci.regolith.figure import comparison_figure
 
         yield comparison_figure(self.site, self.soils, self.width_m, self.curves)
@@ -116,7 +115,6 @@ def compare_soils(
 
     Raises RequestError, ParameterError for half a pair or values out of range, DataError for what is no such result.
     """
-
     asked = request_of(CompareSoilsRequest, request, options)
     if (result is None) != asked.stated:
         raise RequestError(
@@ -152,7 +150,6 @@ def compare_soils(
 
 def _site(result: "Source | IdentifiedSoil | None", asked: CompareSoilsRequest) -> _GivenSite:
     """The site with what is known beside it, where the result has it."""
-
     if result is None:
         site = Site(
             stiffness_kpa_m_n=asked.stiffness,

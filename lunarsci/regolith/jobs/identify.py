@@ -44,7 +44,6 @@ HELD = {"stiffness_kpa_m_n": "kPa/m^N", "cohesion_pa": "Pa", "friction_angle_deg
 
 def assumptions_of(request: IdentifyRequest) -> Assumptions:
     """As `lunarsci.regolith.identify.identify` takes them. Raises RequestError for a modulus that is no number."""
-
     given = request.lateral_modulus
     try:
         moduli = tuple(float(part) for part in str(given).split(",")) if given not in (None, "") else ()
@@ -64,7 +63,6 @@ def assumptions_of(request: IdentifyRequest) -> Assumptions:
 
 def errors_of(request: IdentifyRequest) -> MeasurementErrors:
     """Of states whose table gives none."""
-
     return MeasurementErrors(
         sinkage_m=request.sinkage_error,
         force_relative=request.force_error,
@@ -102,7 +100,6 @@ class StatesOfWheel:
 
 def read_wheel_states(states: Source, rover: str | None, asked: IdentifyRequest) -> StatesOfWheel:
     """Read the states and the wheel: as asked for, as the table says, or Yutu-2's with a warning. Raises DataError."""
-
     source = read_input(states)
     named, by = rover_of_states(source, rover, DEFAULT_ROVER)
     description = read_rover(named)
@@ -121,7 +118,6 @@ def read_wheel_states(states: Source, rover: str | None, asked: IdentifyRequest)
 
 def _warn_of_default(file: str, given: StatesOfWheel, rover: RoverDescription) -> None:
     """Say that nobody named a rover, and which wheel is taken; names and loads like its own do not tell its size."""
-
     mass = rover.table("mass")
     usual = (mass["body_kg"] / ITS_WHEELS + mass["wheel_kg"]) * LUNAR_GRAVITY.value
     load = float(np.median(given.states.values[:, 3]))
@@ -170,7 +166,6 @@ class IdentifiedSoil(Result):
     @property
     def wheel_of(self) -> str:
         """Whose wheel: the name in its file, and the file where one was given."""
-
         return called(self.rover, self.called)
 
     @property
@@ -217,7 +212,6 @@ class IdentifiedSoil(Result):
 
     def answers(self) -> Sequence[Mapping[str, Any]]:
         """The values of the site, one row a parameter, the external friction angle at each assumed K_y."""
-
         name = "external_friction_angle_deg"
         several = self.identification.corners if len(self.identification.corners) > 1 else ()
         corners = [(name, corner[name], corner["lateral_modulus_mm"]) for corner in several]
@@ -229,7 +223,6 @@ class IdentifiedSoil(Result):
         ]
 
     def figures(self) -> "Iterator[Figure]":
-
         from lunarsci.regolith.figure import characteristic_curves
 
         yield characteristic_curves(self.identification)
@@ -283,7 +276,6 @@ def identified(
     progress: Callable[[int, int], None] | None,
 ) -> IdentifiedSoil:
     """The same of states that are read."""
-
     same: dict[str, Any] = {"reading": asked.reading, "seed": asked.seed}
     result = identify_soil(given.states, given.wheel, assumptions, draws=asked.draws, progress=progress, **same)
     shares = sensitivities(given.states, given.wheel, assumptions, **same) if asked.sensitivity else None

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 def wheel_law_of(request: InferRequest) -> WheelLaw:
     """The law that the options name."""
-
     model = ContactModel(
         shear=request.shear, bulldozing=request.bulldozing, density_kg_m3=request.density, gravity_m_s2=request.gravity
     )
@@ -79,7 +78,6 @@ class InferredSoil(IdentifiedSoil):
 
     def figures(self) -> "Iterator[Figure]":
         """Prior and posterior of each parameter, then what each state allows by itself."""
-
         from lunarsci.regolith.figure import posterior_figure
 
         posterior = self.posterior
@@ -110,7 +108,6 @@ def infer(
 
     Raises RequestError, ParameterError for values out of range, DataError for tables that cannot be used.
     """
-
     asked = request_of(InferRequest, request, options)
     assumptions = assumptions_of(asked)
     given = read_wheel_states(states, asked.rover, asked)
@@ -132,7 +129,6 @@ def _posterior(
     asked: InferRequest, given: StatesOfWheel, progress: Callable[[int, int], None] | None
 ) -> tuple[SoilPosterior, Sequence[WheelLawScore], dict[str, str]]:
     """The posterior, scores of the laws where one was chosen, and the file of priors."""
-
     chooses = asked.chooses(given.states.alike)
     source = read_input(asked.prior) if asked.prior else None
     prior = read_prior(source, contact=asked.contact or chooses) if source else None

@@ -117,7 +117,6 @@ class ForcesOnWheel(Result):
 
     @property
     def untrusted(self) -> str:
-
         if 0 <= self.cohesion_share <= MOST_COHESION:
             return ""
         return (
@@ -139,7 +138,6 @@ class ForcesOnWheel(Result):
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """One a slip, with the rover, so that `infer` reads them for its wheel."""
-
         return [self._row(state) | {"rover": written_for(self.called, self.wheel)} for state in self.states]
 
     def _row(self, state: LoadedState) -> dict[str, Any]:
@@ -151,7 +149,6 @@ class ForcesOnWheel(Result):
         return there | forces
 
     def figures(self) -> "Iterator[Figure]":
-
         from lunarsci.regolith.figure import forces_over_slip, traction_over_slip
 
         asked, first = self.request, self.states[0]
@@ -169,7 +166,6 @@ def wheel_forces(request: WheelForcesRequest | None = None, **options: Any) -> F
     Slip beyond 0.6 either way, and readings that only reproduce numbers, are said by a LunarSciWarning. Raises
     RequestError, ParameterError for a state or a soil out of range, DataError for a file that cannot be used.
     """
-
     asked = request_of(WheelForcesRequest, request, options)
     description, slips = read_rover(asked.rover), asked.slips()
     wheel = read_wheel(description)
@@ -209,7 +205,6 @@ def _states(
     asked: WheelForcesRequest, wheel: Wheel, soil: Soil, slips: Sequence[float]
 ) -> tuple[list[LoadedState], LoadedWheel | None]:
     """The wheel at each slip, under its load or at its sinkage; and the loaded wheel."""
-
     model = contact_model(asked)
     if asked.load is None:
         sinkage = float(asked.sinkage or 0.0)

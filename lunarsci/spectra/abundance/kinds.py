@@ -165,7 +165,6 @@ def features_of_rows(
     level of a spectrum that is 1 at a channel, or beyond 1.1, is not used: it was scaled. Of channels (c,) and
     reflectance above 0, (n, c). [nm, -]
     """
-
     rows, channels = reflectance.shape
     mean, error = (np.full((rows, len(WINDOWS_NM)), np.nan) for _ in range(2))
     if not channels:

@@ -160,7 +160,6 @@ class PyroxeneAbundances(Mapping[int, list[Abundance]]):
 
     def record_columns(self) -> dict[str, Column]:
         """The key `abundance` of records."""
-
         shares, keys = self.shares, ("low", "high", "low95", "high95")
         one: dict[str, Column] = {
             "method": "nbsr",

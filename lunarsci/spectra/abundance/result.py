@@ -73,7 +73,6 @@ class Abundance:
     @property
     def not_weighed(self) -> list[str]:
         """Minerals that may be there and were not looked for: shares are of the others alone."""
-
         return [mineral for mineral in CHEMISTRY if mineral not in {item.mineral for item in self.fractions}]
 
     def to_dict(self) -> dict[str, Any]:

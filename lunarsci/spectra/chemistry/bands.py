@@ -243,7 +243,6 @@ OLIVINE_COLOR = "#009E73"
 
 def plane_pages(measured: Sequence[SpectrumBands]) -> "Iterator[Figure]":
     """One page: 2 um centre over 1 um centre, fields and trend of the pyroxenes, olivine below, spectra with errors."""
-
     figure = page(5.6)
     axes = figure.subplots()
     _draw_fields(axes)

@@ -321,7 +321,6 @@ class Estimates:
 
     def columns(self) -> dict[str, Any]:
         """The attributes of `CompositionEstimate` by name, as columns of records."""
-
         texts = {name: coded(getattr(self, name)) for name in ("reason", "domain", "caveat", "source")}
         numbers = {"quantity": self.quantity, "unit": self.unit, "value": self.value, "sigma": self.sigma}
         return numbers | {"in_range": self.in_range} | texts

@@ -48,7 +48,7 @@ class _Ground:
         return float(np.hypot(*self.sample)), float(np.hypot(*self.line))
 
 
-def map_pages(path: Path, record: Mapping[str, Any]) -> "Iterator[Figure]":
+def map_pages(path: Path, record: Mapping[str, Any]) -> Iterator[Figure]:
     """Pages of a map file: what is looked at first, then every other layer of values that is no error and not empty.
 
     `record` : the `result` of the JSON of `lunarsci spectra map`, which made it.
@@ -83,7 +83,7 @@ def is_map_of(path: Path, record: Mapping[str, Any], provenance: Mapping[str, An
     )
 
 
-def _page(path: Path, record: Mapping[str, Any], layers: Sequence[Mapping[str, Any]]) -> "Figure":
+def _page(path: Path, record: Mapping[str, Any], layers: Sequence[Mapping[str, Any]]) -> Figure:
     lines, samples = shape = record["map"]["lines"], record["map"]["samples"]
     numbers = {layer["name"]: number for number, layer in enumerate(record["layers"], 1)}
     ground = _ground(path, shape, numbers)
@@ -139,9 +139,8 @@ def _pixels(path: Path, name: str, number: int, part: tuple[slice, ...]) -> Floa
 
 
 def _draw(
-    figure: "Figure", panel: Any, image: FloatArray, layer: Mapping[str, Any] | None, extent: tuple[float, ...]
+    figure: Figure, panel: Any, image: FloatArray, layer: Mapping[str, Any] | None, extent: tuple[float, ...]
 ) -> None:
-
     if layer is None:
         codes = _worst_flag(image)
         panel.imshow(codes, ListedColormap(FLAG_COLORS), vmin=-0.5, vmax=5.5, extent=extent, interpolation="nearest")

@@ -278,7 +278,6 @@ def open_vnis(path: str) -> Layout:
     Each pixel as `spectra calibrate` does it for the mean of many, but that the angles are those of the image's middle
     for all of them. Raises DataError as `read_observation` does.
     """
-
     observation, settings, file = read_observation(path), default_settings(), find_parts(path).cube
     label = observation.cube_label
     distance = sun_moon_distance_au(label.start + (label.stop - label.start) / 2)

@@ -86,12 +86,10 @@ class MeasuredBands(Result):
     @cached_property
     def chemistry(self) -> Mapping[str, Estimates]:
         """What each regression makes of the bands."""
-
         return chemistries(self.measured.arrays.bands)
 
     @property
     def made_from(self) -> MadeFrom:
-
         tables = self.batch.tables | table_hashes(TABLE, PLANE_TABLE, CHONDRITES)
         sources = [PAPER, SMOOTHING, *self._regressions, *CHEMISTRY]
         return MadeFrom(inputs=self.batch.inputs, tables=tables, sources=sources)
@@ -99,19 +97,16 @@ class MeasuredBands(Result):
     @cached_property
     def _regressions(self) -> list[str]:
         """The sources of those that some spectrum can use."""
-
         used = {str(one["source"]) for one in self.examples(KEYS).values()}
         return [text for source, text in REGRESSIONS.items() if source in used]
 
     @property
     def good(self) -> list[SpectrumBands]:
         """Those with a result."""
-
         return [item for item in self.measured if isinstance(item, SpectrumBands)]
 
     @property
     def untrusted(self) -> str:
-
         narrow = self.measured.arrays.codes[:, -1, STATUS] == TOO_NARROW
         named = some_of([self.batch.spectra.ids[place] for place in narrow.nonzero()[0]], MOST_NAMED)
         return f"a narrow absorption, no pyroxene's, is what there is at 2 µm in {named}" if narrow.any() else ""
@@ -120,12 +115,10 @@ class MeasuredBands(Result):
         return self.batch.remarks | {"spectra": self.content()["spectra"].tolist()}
 
     def content(self) -> Mapping[str, Any]:
-
         return {**self.batch.remarks, "spectra": in_blocks(len(self.measured), self._records)}
 
     def rows(self) -> Records | RecordsInBlocks:
         """One a spectrum; value, error and range of each regression in columns of their own."""
-
         return in_blocks(len(self.measured), self._rows)
 
     def _part(self, block: range) -> "MeasuredBands":
@@ -137,14 +130,12 @@ class MeasuredBands(Result):
         return MeasuredBands(batch, self.measured.part(block), self.failures)
 
     def _records(self, block: range) -> Records:
-
         subset = self._part(block)
         result = subset.chemistry
         shown = {key: Where(result[key].present, result[key].columns()) if key in result else None for key in KEYS}
         return Records(subset.measured.columns() | {"chemistry": shown, "source": subset.batch.origins})
 
     def _rows(self, block: range) -> Records:
-
         subset = self._part(block)
         columns = subset.measured.columns() | {"source": subset.batch.origins}
         for key in KEYS:
@@ -156,7 +147,6 @@ class MeasuredBands(Result):
 
     def remarks(self) -> list[tuple[int, str, str, str]]:
         """Place and id of the spectrum, key of the band and sentence of every note and status that is not `ok`."""
-
         return [
             (place, self.batch.spectra.ids[place], band.key, text)
             for number, band in enumerate(BANDS)
@@ -167,7 +157,6 @@ class MeasuredBands(Result):
 
     def examples(self, keys: Sequence[str]) -> dict[str, Mapping[str, Any]]:
         """Of each of these regressions that some spectrum can use, what it says of the first."""
-
         result: dict[str, Mapping[str, Any]] = {}
         for block in spans(len(self.measured), BLOCK_THINGS):
             here = self._part(block).chemistry
@@ -178,14 +167,12 @@ class MeasuredBands(Result):
         return {key: result[key] for key in keys if key in result}
 
     def figures(self) -> "Iterator[Figure]":
-
         from lunarsci.spectra.mgm.figure import band_pages
 
         return band_pages(self.good)
 
     def plane(self) -> "Iterator[Figure]":
         """The 2 um centres over the 1 um centres, among those of pyroxenes."""
-
         return plane_pages(self.good)
 
 
@@ -198,7 +185,6 @@ def bands(
     **options: Any,
 ) -> MeasuredBands:
     """Measure the bands of spectra. Raises DataError when none can be read, or none has a result."""
-
     asked = request_of(BandsRequest, request, options)
     smoothing = Smoothing(window_nm=asked.smooth_nm, order=asked.smooth_order, channels=asked.smooth)
     batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit, asked.id)

@@ -35,7 +35,6 @@ Progress = Callable[[int, int], None]
 
 def settings_of(request: CalibrateRequest) -> Settings:
     """With the tables read. Raises DataError for one that cannot be used, ParameterError for a value."""
-
     inputs: dict[str, str] = {}
 
     def table(given: Any, named: Any, read: Callable[[InputFile], Any], names: Collection[str]) -> Any:
@@ -74,7 +73,6 @@ class Calibrations(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-
         phase = [self.settings.phase.source] if self.settings.photometry != "none" else []
         return MadeFrom(
             inputs={path: digest for item in self.observations for path, digest in item.inputs.items()},
@@ -103,17 +101,14 @@ class Calibrations(Result):
         return [row for item in self.observations for row in item.rows()]
 
     def figures(self) -> "Iterator[Figure]":
-
         return calibration_pages(self.observations)
 
     def to_ecsv(self, provenance: Mapping[str, Any]) -> bytes:
         """As `lunarsci.spectra.vnis.calibration.to_ecsv`."""
-
         return to_ecsv(self.observations, provenance)
 
     def to_fits(self, provenance: Mapping[str, Any]) -> bytes:
         """As `lunarsci.spectra.vnis.calibration.to_fits`."""
-
         return to_fits(self.observations, provenance)
 
 
@@ -129,7 +124,6 @@ def calibrate(
 
     Raises DataError when nothing could be calibrated, or a table of the request cannot be used.
     """
-
     settings = settings_of(request_of(CalibrateRequest, request, options))
     paths, failures = _observations(products)
     results = calibrate_files(paths, settings, progress)
@@ -156,7 +150,6 @@ def check_fits(path: Path | None, products: Products) -> None:
 
 def _observations(products: Products) -> tuple[list[str], list[tuple[str, DataError]]]:
     """One file of each observation, and the arguments that name none, with the reason."""
-
     result: list[str] = []
     failures: list[tuple[str, DataError]] = []
     for argument in [products] if isinstance(products, str | Path) else products:
@@ -169,7 +162,6 @@ def _observations(products: Products) -> tuple[list[str], list[tuple[str, DataEr
 
 def _products(argument: str) -> list[str]:
     """The VNIS products of a folder or pattern; a file's own name whatever it is, since reading it tells."""
-
     if argument == "-":
         raise DataError("-: a product is several files and cannot come from stdin; name its label")
     names = expand_inputs([argument], all_files=True)

@@ -46,7 +46,6 @@ Progress: TypeAlias = Callable[[int, int], None]
 
 def model_of(request: ModelRequest, assemblage: str, continuum: MgmContinuum) -> MgmModel:
     """The model of an assemblage under a continuum, with composition and constraints."""
-
     stated = parse_compositions(request.composition) if request.composition else None
     return constrained_by(
         request, mgm_model(assemblage, continuum, stated_for(assemblage, stated) if request.automatic else stated)
@@ -55,7 +54,6 @@ def model_of(request: ModelRequest, assemblage: str, continuum: MgmContinuum) ->
 
 def constrained_by(request: ModelRequest, model: MgmModel) -> MgmModel:
     """A model with the constraints."""
-
     return constrained(model, fixed=request.fix, bounds=request.bound, ties=request.tie)
 
 
@@ -85,12 +83,10 @@ class MgmFits(Result):
     @property
     def good(self) -> list[MgmFit]:
         """The fits without the failures."""
-
         return [item for item in self.fits if isinstance(item, MgmFit)]
 
     @property
     def made_from(self) -> MadeFrom:
-
         tables, sources = self._tables_and_sources()
         return MadeFrom(
             inputs=self.batch.inputs | {file.name: file.sha256 for file in self.files},
@@ -100,12 +96,10 @@ class MgmFits(Result):
         )
 
     def _tables_and_sources(self) -> tuple[list[str], list[str]]:
-
         return [*TABLES, TABLE, KINDS], [MGM, NBSR]
 
     @property
     def untrusted(self) -> str:
-
         doubts = doubts_about(self.fits, self.choices)
         return f"not to be trusted: {'; '.join(doubts)}" if doubts else ""
 
@@ -115,7 +109,6 @@ class MgmFits(Result):
     @property
     def _as_arrays(self) -> bool:
         """Whether the fits are columns; some kinds are made one by one."""
-
         return isinstance(self.abundances, PyroxeneAbundances) and not (self.choices or self.intervals)
 
     @cached_property
@@ -124,7 +117,6 @@ class MgmFits(Result):
         return lru_cache(maxsize=1)(self._columns_of)
 
     def _columns_of(self, block: range) -> tuple[FitColumns, PyroxeneAbundances]:
-
         fits: SpectraFits = self.fits.part(block)  # type: ignore[attr-defined]
         return FitColumns(fits, self.batch.origins[block.start : block.stop]), PyroxeneAbundances(fits)
 
@@ -141,7 +133,6 @@ class MgmFits(Result):
         return [self._record(index, origin) for index, origin in enumerate(self.batch.origins)]
 
     def _record(self, index: int, origin: str) -> dict[str, Any]:
-
         item, choice, intervals = self.fits[index], self.choices.get(index), self.intervals.get(index)
         result = self.abundances.get(index, ())
         return item.to_dict() | {
@@ -153,14 +144,12 @@ class MgmFits(Result):
         }
 
     def may_have(self, key: str) -> Collection[str]:
-
         return PERCENT_OF if key == "compositions" else MINERALS.values() if key == "abundance" else ()
 
     def rows_each(self) -> Sequence[dict[str, Any]]:
         return self.rows(bands=False)
 
     def rows(self, *, bands: bool = True) -> Sequence[dict[str, Any]]:
-
         if not self._as_arrays:
             return rows_one_by_one(self.records, self.abundances, bands=bands)
         shown = self.abundances.any_determined  # type: ignore[attr-defined]
@@ -173,7 +162,6 @@ class MgmFits(Result):
         return in_blocks(len(self.fits), of_some, size=size)
 
     def figures(self) -> "Iterator[Figure]":
-
         from lunarsci.spectra.mgm.figure import fit_pages
 
         weak = [self.fits[index] for index, choice in self.choices.items() if not choice.strong]
@@ -184,7 +172,6 @@ class MgmFits(Result):
 
         Raises ParameterError for a continuum that it has no letter for.
         """
-
         header = read_fit_file(self.files[0]) if self.request.start else None
         return fit_file_text(fit_file_of(self.good[0], header))
 
@@ -203,7 +190,6 @@ def fit(
 
     Raises RequestError for options that exclude each other; DataError where no spectrum can be read and fitted.
     """
-
     asked = request_of(FitRequest, request, options)
     batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit, asked.id)
     if asked.to_fit_file and (count := len(batch.spectra)) != 1:
@@ -221,7 +207,6 @@ def fit(
 
 def fit_batch_of(batch: SpectraBatch, request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
     """Fits of all spectra as asked: the attributes `fits`, `choices`, `failures` and `files` of `MgmFits`."""
-
     result: dict[str, Any]
     if request.continuum == "none":
         check_continuum_removed(batch.spectra)
@@ -244,7 +229,6 @@ def fit_batch_of(batch: SpectraBatch, request: ModelRequest, progress: Progress 
 def _by_prior(
     spectra: Sequence[Spectrum], model: MgmModel, request: ModelRequest, progress: Progress | None, **start: Any
 ) -> Sequence[MgmFit | MgmFailure]:
-
     if request.prior == "damping":
         error = DEFAULT_MODEL_ERROR if request.model_error is None else request.model_error
         return fit_damping(spectra, model, model_error=error, progress=progress, **start)
@@ -252,7 +236,6 @@ def _by_prior(
 
 
 def _from_file(spectra: Sequence[Spectrum], request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
-
     source = read_input(str(request.start))
     model, file = read_start(source, request.band_minerals)
     start = {"file": file, "rms_limit": file.rms_limit, "improvement_limit": file.improvement_limit}
@@ -261,7 +244,6 @@ def _from_file(spectra: Sequence[Spectrum], request: ModelRequest, progress: Pro
 
 def _chosen(spectra: Sequence[Spectrum], request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
     """Compare all assemblages, then fit each spectrum with its own."""
-
     stated = parse_compositions(request.composition) if request.composition else None
     result = choose(spectra, continuum=request.continuum, compositions=stated, progress=progress)
     choices = with_causes(spectra, {index: item for index, item in enumerate(result) if isinstance(item, Choice)})

@@ -29,7 +29,6 @@ class MeasuredIndices(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-
         sources = [INDICES[name].source for name in self.columns]
         return MadeFrom(inputs=self.batch.inputs, tables=self.batch.tables, sources=[*sources, SMOOTHING])
 
@@ -38,13 +37,11 @@ class MeasuredIndices(Result):
         return self.batch.failures
 
     def content(self) -> dict[str, Any]:
-
         about = {name: _about(INDICES[name]) for name in self.columns}
         return {**self.batch.remarks, "indices": about, "spectra": self.records()}
 
     def records(self) -> Records:
         """Each spectrum with a nested object for each index."""
-
         result: dict[str, Any] = {
             name: {
                 "value": column.value,
@@ -60,7 +57,6 @@ class MeasuredIndices(Result):
 
     def rows(self) -> Records:
         """One a spectrum: value, noise, whole error and status of each index in columns of their own."""
-
         cells: dict[str, Any] = {"source": self.batch.origins, "id": [item.id for item in self.batch.spectra]}
         for name, column in self.columns.items():
             cells |= {
@@ -72,7 +68,6 @@ class MeasuredIndices(Result):
         return Records(cells)
 
     def figures(self) -> "Iterator[Figure]":
-
         from lunarsci.spectra.mgm.figure import index_pages
 
         return index_pages(self.batch.spectra, self.columns)
@@ -100,7 +95,6 @@ def indices(spectra: "SpectraSource", request: IndicesRequest | None = None, **o
 
     Raises DataError when no spectrum can be read, or no index reaches any of them; RequestError for an unknown name.
     """
-
     asked = request_of(IndicesRequest, request, options)
     names = list(dict.fromkeys(asked.index)) or list(INDICES)
     if unknown := [name for name in names if name not in INDICES]:

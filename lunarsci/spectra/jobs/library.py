@@ -59,12 +59,10 @@ class Library(Result):
         ]
 
     def figures(self) -> "Iterator[Figure]":
-
         return library_pages(self.members)
 
     def to_ecsv(self, provenance: Mapping[str, Any] | None = None) -> bytes:
         """As `lunarsci.spectra.readers.library.to_ecsv`."""
-
         return to_ecsv(self.members, provenance)
 
 
@@ -128,7 +126,6 @@ def open_library(
     files: Sequence[str], wavelength_unit: Any = None, reflectance_unit: Any = None, but: str | None = None
 ) -> Library:
     """Read every file `but` one; what cannot be read is remembered. Raises DataError when nothing can."""
-
     members: list[EndMember] = []
     origins: list[str] = []
     inputs: dict[str, str] = {}
@@ -156,7 +153,6 @@ def import_library(files: Sequence[str], request: ImportRequest | None = None, *
 
     What is left out, unknown or must be mended is a LunarSciWarning. Raises DataError when nothing is left.
     """
-
     asked = request_of(ImportRequest, request, options)
     table = read_input(asked.metadata) if asked.metadata is not None else None
     stated = read_metadata(table) if table else {}
@@ -184,7 +180,6 @@ def import_library(files: Sequence[str], request: ImportRequest | None = None, *
 
 
 def _described(member: EndMember, stated: Mapping[str, Any], asked: ImportRequest, table: str) -> EndMember:
-
     try:
         member = with_description(member, stated)
     except DataError as error:

@@ -97,7 +97,6 @@ class CubeMap(Result):
         return [self._row(layer) for layer in self.made.layers]
 
     def _row(self, layer: Layer) -> dict[str, Any]:
-
         kind = "value" if not layer.meanings else "bits" if layer.bits else "code"
         row: dict[str, Any] = {"name": layer.name, "long_name": layer.long_name, "units": layer.units, "kind": kind}
         seen = self.sampled.get(layer.name)
@@ -108,7 +107,6 @@ class CubeMap(Result):
         return row | {"determined": share, "p05": low, "median": median, "p95": high, "codes": codes}
 
     def figures(self) -> "Iterator[Figure]":
-
         from lunarsci.spectra.cubes.figure import map_pages
 
         return map_pages(self.path, self.to_dict())
@@ -172,7 +170,6 @@ def map(
     ------
     RequestError for options that exclude each other; DataError for a cube that cannot be used; OutputError.
     """
-
     asked, target = request_of(MapRequest, request, options), Path(path or "")
     if target.suffix.lower() not in SUFFIXES:
         raise RequestError(f"`path` '{target.name}': a map is a file; give a name that ends in {', '.join(SUFFIXES)}")
@@ -216,7 +213,6 @@ def pixel(cube: str, place: str, request: MapRequest | None = None, **options: A
 
     Raises RequestError for a place that is none, or beside the cube.
     """
-
     asked = request_of(MapRequest, request, options)
     if (numbers := re.fullmatch(r"\s*(\d{1,9})\s*,\s*(\d{1,9})\s*", place)) is None:
         raise RequestError(f"`spectrum` {place}: give sample and line, such as 120,3400")
@@ -242,7 +238,6 @@ def pixel(cube: str, place: str, request: MapRequest | None = None, **options: A
 
 def made_from(cube: Cube, products: Sequence[Product]) -> MadeFrom:
     """Inputs, tables and sources of a map."""
-
     tables = table_hashes(*dict.fromkeys(table for product in products for table in product.tables))
     return MadeFrom(inputs=cube.inputs, tables=tables, sources=[text for one in products for text in one.sources])
 

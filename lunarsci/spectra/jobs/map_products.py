@@ -49,7 +49,6 @@ from lunarsci.spectra.spectrum import Smoothing, Spectrum
 
 def products_of(request: MapRequest) -> list[Product]:
     """What is asked for, in the order of `PRODUCTS`. Raises ParameterError for settings that are impossible."""
-
     makers: dict[str, Callable[[MapRequest], Product]] = {
         "bands": BandsProduct.of,
         "indices": IndicesProduct.of,
@@ -85,13 +84,11 @@ class BandsProduct(Product):
 
     @classmethod
     def of(cls, request: MapRequest) -> "BandsProduct":
-
         Smoothing(window_nm=request.smooth_nm)
         return cls(request.band_continuum, request.smooth_nm)
 
     @property
     def layers(self) -> Sequence[Layer]:
-
         result = []
         for band in BANDS:
             result += [
@@ -105,12 +102,10 @@ class BandsProduct(Product):
 
     @property
     def sources(self) -> Sequence[str]:
-
         return (PAPER, SMOOTHING)
 
     def measure(self, wavelength_nm: FloatArray, reflectance: FloatArray, places: Any) -> Mapping[str, Any]:
         """Each layer of spectra."""
-
         smoothing = Smoothing(window_nm=self.smooth_nm)
         result = band_arrays(wavelength_nm, reflectance, continuum_name=self.continuum, smoothing=smoothing)
         values: dict[str, Any] = {}
@@ -145,12 +140,10 @@ class IndicesProduct(Product):
 
     @property
     def sources(self) -> Sequence[str]:
-
         return tuple(dict.fromkeys(index.source for index in INDICES.values()))
 
     def measure(self, wavelength_nm: FloatArray, reflectance: FloatArray, places: Any) -> Mapping[str, Any]:
         """Each layer of spectra."""
-
         values: dict[str, Any] = {}
         for name, result in index_arrays(wavelength_nm, reflectance).items():
             values |= {name: result.value, f"{name}_sigma": result.sigma}
@@ -210,17 +203,14 @@ class FitProduct(Product):
 
     @property
     def tables(self) -> Sequence[str]:
-
         return TABLES
 
     @property
     def sources(self) -> Sequence[str]:
-
         return (MGM, NBSR)
 
     def measure(self, wavelength_nm: FloatArray, reflectance: FloatArray, places: Any) -> Mapping[str, Any]:
         """Each layer of spectra."""
-
         model = model_of(self.assemblage, self.continuum)
         fits, origin, unsettled = self._fitted(wavelength_nm, reflectance, places)
         values: dict[str, Any] = {"fit_rms_ln": fits.rms_ln, "fit_reduced_chi2": fits.reduced_chi2}
@@ -240,7 +230,6 @@ class FitProduct(Product):
 
     def _fitted(self, wavelength_nm: FloatArray, reflectance: FloatArray, places: Any) -> tuple[Any, Any, Any]:
         """Fits, where their minima were found, and whether neighbours still disagree."""
-
         how: dict[str, Any] = {"model_error": self.model_error, "starts": self.starts}
         model = model_of(self.assemblage, self.continuum)
         if self.contest_every:
@@ -265,7 +254,6 @@ def slug(name: str) -> str:
 @lru_cache(maxsize=8)
 def model_of(assemblage: str, continuum: Any) -> MgmModel:
     """The model of an assemblage under a continuum. Raises ParameterError for one that is unknown."""
-
     return mgm_model(assemblage, continuum)
 
 
@@ -296,7 +284,6 @@ class UnmixProduct(Product):
 
     @property
     def layers(self) -> Sequence[Layer]:
-
         result, domain = [], ("out_of_domain", "in_domain")
         for method, ending in self.methods.items():
             for mineral in self.minerals:
@@ -312,17 +299,14 @@ class UnmixProduct(Product):
 
     @property
     def tables(self) -> Sequence[str]:
-
         return (NETWORKS, KIND_TABLE, CALIBRATION, *([END_MEMBERS] if self.both else ()))
 
     @property
     def sources(self) -> Sequence[str]:
-
         return (LEARNED, *(LAWS["both"] if self.both else ()))
 
     def measure(self, wavelength_nm: FloatArray, reflectance: FloatArray, places: Any) -> Mapping[str, Any]:
         """Each layer of spectra; those with the same channels together."""
-
         count = len(reflectance)
         values: dict[str, Any] = {
             layer.name: np.full(count, NO_CODE, np.int16) if layer.meanings else np.full(count, np.nan)
@@ -349,7 +333,6 @@ class UnmixProduct(Product):
         self, wavelength_nm: FloatArray, reflectance: FloatArray, dark: FloatArray, weathered: BoolArray
     ) -> Mapping[str, Any]:
         """Layers of spectra of the same channels."""
-
         allowed = np.tile([float(name in self.minerals) for name in MINERALS], (len(reflectance), 1))
         rock = np.full(len(reflectance), float(self.kind == "solid-rock"))
         foretold, values = foretell(wavelength_nm, reflectance, allowed), dict[str, Any]()
@@ -393,7 +376,6 @@ class MatchProduct(Product):
     @property
     def names(self) -> Sequence[str]:
         """Of the craters whose composition is known."""
-
         result = embedded_catalogue() if self.craters is None else read_catalogue(read_input(self.craters))
         return [crater.name for crater in result if crater.composition.comparable]
 
@@ -408,12 +390,10 @@ class MatchProduct(Product):
 
     @property
     def tables(self) -> Sequence[str]:
-
         return () if self.craters else (TABLE,)
 
     def measure(self, wavelength_nm: FloatArray, reflectance: FloatArray, places: Any) -> Mapping[str, Any]:
         """Each layer of spectra."""
-
         spectra, names = _spectra(wavelength_nm, reflectance), list(self.names)
         how: dict[str, Any] = {"assemblage": self.fit.assemblage, "continuum": self.fit.continuum}
         factors = np.full((len(spectra), len(names)), np.nan)
@@ -438,7 +418,6 @@ class MatchProduct(Product):
 
 def _spectra(wavelength_nm: FloatArray, reflectance: FloatArray) -> list[Spectrum]:
     """Rows as spectra that are called by their number."""
-
     return [Spectrum(str(row), wavelength_nm, values) for row, values in enumerate(reflectance)]
 
 

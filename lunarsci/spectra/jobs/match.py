@@ -62,7 +62,6 @@ BLOCK_ROCKS = 1024
 
 def settings_of(request: MatchRequest) -> MatchSettings:
     """As the formulas take them. Raises ParameterError for a value out of range, RequestError for a text."""
-
     return MatchSettings(
         systematic=request.systematic,
         band_systematic_nm=request.band_systematic,
@@ -103,7 +102,6 @@ class Matches(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-
         prior = self.settings.prior
         survival = [SURVIVAL_SOURCE] if prior.exposure else []
         stirring = [STIRRING] if prior.re_excavation else []
@@ -116,13 +114,11 @@ class Matches(Result):
 
     @property
     def untrusted(self) -> str:
-
         pairs = zip(self.matches.rocks, self.matches.decided.tolist(), strict=True)
         left = [rock.id for rock, decided in pairs if not decided]
         return f"not to be trusted: the crater is not decided for {some_of(left, NAMED)}" if left else ""
 
     def content(self) -> dict[str, Any]:
-
         return {
             "site": {
                 "latitude_deg": self.site[0],
@@ -138,7 +134,6 @@ class Matches(Result):
 
     def rows(self) -> Records | RecordsInBlocks:
         """One a crater, and one for other sources, of each rock."""
-
         count, each = len(self.matches), len(self.matches[0].craters) + 1
         return in_blocks(count, self._of_some(match_table), size=count * each, rows=BLOCK_ROCKS)
 
@@ -151,7 +146,6 @@ class Matches(Result):
         return lambda block: make(self.matches[block.start : block.stop])
 
     def figures(self) -> "Iterator[Figure]":
-
         from lunarsci.spectra.origin.figure import match_pages
 
         return match_pages(self.matches, self.site)
@@ -168,7 +162,6 @@ def match(
 
     Raises DataError when no rock can be read, ParameterError where no crater can have delivered one.
     """
-
     asked = request_of(MatchRequest, request, options)
     settings, stated = settings_of(asked), None if asked.site is None else _site(asked.site)
     if asked.craters is None:
@@ -192,7 +185,6 @@ def match(
 
 def _check_near(text: str | tuple[float, ...] | None, site: Point | None) -> None:
     """Raises RequestError for a site that the embedded craters do not lie round."""
-
     if site is not None and (far := distance_km(CHANG_E_4, site)) > EMBEDDED_KM:
         raise RequestError(
             f"`site` {text} is {far:.0f} km from Chang'E-4, round which the embedded craters lie; give the "
@@ -202,7 +194,6 @@ def _check_near(text: str | tuple[float, ...] | None, site: Point | None) -> Non
 
 def _assumed_site(asked: MatchRequest, result: "Candidates") -> Point:
     """Chang'E-4's, round which the embedded craters lie. Raises RequestError for craters of one's own."""
-
     if asked.craters is None:
         return CHANG_E_4
     near = min(result.craters, key=lambda crater: distance_km(CHANG_E_4, crater.center))
@@ -235,7 +226,6 @@ class Candidates:
 
 def _site(site: str | tuple[float, ...]) -> Point:
     """Two numbers, or the text `LAT,LON`, in degrees."""
-
     text = site if isinstance(site, str) else ",".join(map(str, site))
     parts = text.split(",")
     if len(parts) != 2:
@@ -249,7 +239,6 @@ def _site(site: str | tuple[float, ...]) -> Point:
 
 def _span(text: str, option: str) -> Range:
     """`LOW:HIGH`, or one number for both."""
-
     numbers = [stated_number(part, f"`{option}` {text}") for part in text.split(":")]
     if len(numbers) > 2:
         raise RequestError(f"`{option}` {text}: give LOW:HIGH")
@@ -261,7 +250,6 @@ def _span(text: str, option: str) -> Range:
 
 def _rocks(sources: Sequence[Any], asked: MatchRequest) -> MatchInputs:
     """The rocks of results, or the one that the request states. Raises DataError when no result can be read."""
-
     stated = asked.modes is not None or asked.bands is not None
     if stated == bool(sources):
         raise RequestError("give results of `spectra fit --json`, or `modes` or `bands` for one rock, not both")
@@ -274,7 +262,6 @@ def _rocks(sources: Sequence[Any], asked: MatchRequest) -> MatchInputs:
 
 
 def _read(sources: Sequence[Any]) -> MatchInputs:
-
     rocks: list[Rock] = []
     hashes: dict[str, str] = {}
     failures: list[Failure] = []
@@ -303,7 +290,6 @@ def _opened(item: Any) -> Iterator[InputFile]:
 
 def _candidates(asked: MatchRequest) -> Candidates:
     """The embedded craters or those of a table, with modes from maps where these are given."""
-
     if asked.craters is None:
         result = Candidates(embedded_catalogue(), f"embedded {TABLE}", tables=table_hashes(TABLE))
     else:
@@ -313,7 +299,6 @@ def _candidates(asked: MatchRequest) -> Candidates:
 
 
 def _mapped(result: Candidates, maps: Sequence[str], annulus: str) -> Candidates:
-
     names: dict[str, str] = {}
     for item in maps:
         if "=" not in item and Path(item).suffix and (written := minerals_of(item)):
@@ -338,7 +323,6 @@ def _digest(file: str) -> str:
 
 def _ring(text: str) -> tuple[float, float]:
     """`IN:OUT` of the ring, which may begin at 0."""
-
     numbers = [stated_number(part, f"`annulus` {text}") for part in text.split(":")]
     if len(numbers) != 2:
         raise RequestError(f"`annulus` {text}: give IN:OUT in rim radii, such as 1:2")

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 def scene_of(request: SimulateVnisRequest) -> Scene:
     """What is looked at. Raises ParameterError for what there cannot be."""
-
     rock = request.rock and SceneRock(
         replace(ROCK, composition=_composition(request.rock)), radius_px=request.rock_radius
     )
@@ -53,7 +52,6 @@ class SimulatedVnis(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-
         scene = self.simulation.scene
         return MadeFrom(
             tables=table_hashes(*TABLES, table_name(scene.solar), PHASE_TABLE, *BANDS_TABLES),
@@ -81,13 +79,11 @@ class SimulatedVnis(Result):
         return [{"wavelength_nm": wavelength, "reflectance": value} for wavelength, value in pairs]
 
     def figures(self) -> "Iterator[Figure]":
-
         yield simulation_page(self.simulation)
 
 
 def simulate(request: SimulateVnisRequest | None = None, **options: Any) -> SimulatedVnis:
     """What VNIS would have measured of a made-up scene. Raises ParameterError for what there cannot be."""
-
     asked = request_of(SimulateVnisRequest, request, options)
     simulation = simulated(scene_of(asked), Instrument(noise=asked.noise), asked.seed)
     return SimulatedVnis(simulation, product_files(simulation))
@@ -95,8 +91,7 @@ def simulate(request: SimulateVnisRequest | None = None, **options: Any) -> Simu
 
 def _composition(text: str) -> SceneComposition:
     """A composition from `ol=0.1,opx=0.3,cpx=0.2,plg=0.4`. Raises ParameterError for anything else."""
-
-    keys = {**{key.lower(): name for key, name in MINERALS.items()}, "plg": "plagioclase"}
+    keys = {key.lower(): name for key, name in MINERALS.items() if name in SceneComposition.__dataclass_fields__}
     names = {**keys, **{name: name for name in keys.values()}}
     fractions: dict[str, float] = {}
     for part in text.split(","):

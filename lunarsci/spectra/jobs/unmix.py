@@ -56,7 +56,6 @@ REFUSED = "a soil that space has weathered, whose glass and iron no mixture of p
 
 def named_minerals(assemblage: str) -> list[str]:
     """Full names of the minerals of an assemblage."""
-
     short = {key: mineral for mineral, key in FAMILY_OF.items()}
     parts = [part.strip().upper() for part in assemblage.replace(",", "-").split("-")]
     if strange := [part for part in parts if part not in short]:
@@ -91,7 +90,6 @@ class UnmixedSpectra(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-
         mixes, iron, soils = self.request.mixes, self.request.iron, bool(self.normatives)
         rocks = self.request.prior == PRIOR
         used = {KINDS: True, NETWORKS: True, CALIBRATION: True, END_MEMBERS: mixes, IRON_TABLE: iron, SOIL: soils,
@@ -133,7 +131,6 @@ class UnmixedSpectra(Result):
         return [_row(record) for record in self.records]
 
     def figures(self) -> "Iterator[Figure]":
-
         names = [self.shares[index].id for index in self.normatives]
         return chain(share_pages(self.shares), normative_pages(names, list(self.normatives.values())))
 
@@ -178,7 +175,6 @@ def unmix(
     RequestError for options that exclude each other; ParameterError for modes of spectra that are not there; DataError
     where no spectrum can be read, and for end members or spectra that cannot be mixed.
     """
-
     asked = request_of(UnmixRequest, request, options)
     batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit, asked.id)
     library, modes_file = (read_input(name) if name else None for name in (asked.library, asked.known))
@@ -207,7 +203,6 @@ def unmix(
 
 
 def _chondrites(spectra: Sequence[Spectrum], kinds: Sequence[KindVerdict]) -> dict[int, dict[str, Any] | None]:
-
     dark = [index for index, kind in enumerate(kinds) if kind.kind == "dark-rock-powder"]
     if not dark:
         return {}
@@ -225,7 +220,6 @@ def _shares(
     request: UnmixRequest,
     progress: Progress | None,
 ) -> list[Abundance]:
-
     if not spectra:
         return []
     allowed = np.tile([float(mineral in named) for mineral in MINERALS], (len(spectra), 1))
@@ -242,7 +236,6 @@ def _shares(
 
 def _as_stated(result: Abundance, stated: Mapping[str, float]) -> Abundance:
     """A mixture whose shares are known."""
-
     total = sum(stated.values())
     shares = {mineral: share / total for mineral, share in stated.items()}
     values = [(one.mineral, shares.get(one.mineral, 0.0)) for one in result.fractions]
@@ -264,7 +257,6 @@ def mixed_estimate(
 
     That is where a spectrum is too short, or has one mineral only. Raises DataError where no spectrum can be mixed.
     """
-
     how: dict[str, Any] = {
         "method": "unmix" if request.method == "both" else request.method,
         "end_members": end_members,
@@ -300,7 +292,6 @@ def mixed_estimate(
 
 def _stated_modes(names: Sequence[str], file: InputFile | None) -> StatedModes:
     """Modes stated of the spectra."""
-
     if file is None:
         return StatedModes({}, {})
     modes = read_modes(file)

@@ -51,7 +51,6 @@ def other_cause(record: Mapping[str, Any]) -> str:
 
 def with_causes(spectra: Sequence[Spectrum], choices: Mapping[int, Choice]) -> dict[int, Choice]:
     """Choices, by position, with what else the 2 um bands may be of; not strong where the fit has a pyroxene then."""
-
     measured = measure_batch([spectra[index] for index in choices])
     result = dict(choices)
     for (index, choice), bands in zip(choices.items(), measured, strict=True):
@@ -74,7 +73,6 @@ MINERALS = ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase")
 
 def centre_texts(record: Mapping[str, Any]) -> dict[str, str]:
     """By key of each band that is there, its centre with the errors of noise and of method."""
-
     return {
         key: centre_text(record[f"bc{key}_nm"], record[f"bc{key}_sigma_nm"], record[f"bc{key}_method_nm"])
         for key in ("1000", "2000")
@@ -90,7 +88,6 @@ def bands_verdict(record: Mapping[str, Any]) -> str:
 
 def bands_meaning(record: Mapping[str, Any]) -> str:
     """What the centres of `spectra bands` say."""
-
     one, two = record["bc1000_nm"] is not None, record["bc2000_nm"] is not None
     chemistry = [item for item in (record["chemistry"] or {}).values() if item]
     alone = any("pyroxene without olivine" in item["domain"] and item["in_range"] for item in chemistry)
@@ -163,7 +160,6 @@ def _composition(item: Mapping[str, Any]) -> str:
 
 def fit_doubt(record: Mapping[str, Any]) -> str:
     """Why the fit of one spectrum is not to be trusted, as `doubts_about` has it of many; '' if it may be."""
-
     parts = [] if record["status"] == "converged" else [str(record["status"])]
     parts += ["the model does not describe it"] if (record.get("rms_ln") or 0.0) > UNLIKE_RMS else []
     choice = record.get("choice")
@@ -179,7 +175,6 @@ def _strained(record: Mapping[str, Any]) -> list[str]:
 
 def _determined(record: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
     """Compositions in range that the spectrum, and not the prior alone, tells, of minerals that are not in doubt."""
-
     doubtful = [] if record["choice"] else [mineral for result in _by_bands(record)[1:] for mineral in result]
     return [
         (key, item)
@@ -208,7 +203,7 @@ def _by_bands(record: Mapping[str, Any]) -> tuple[list[str], list[str], list[str
     """
     depths: dict[str, list[float]] = {}
     for band in record["bands"]:
-        if band["mineral"] in MINERALS and band["strength_sigma"] > 0 and band["name"] not in WEAK:
+        if band["mineral"] not in ("", "any") and band["strength_sigma"] > 0 and band["name"] not in WEAK:
             depths.setdefault(band["mineral"], []).append(-band["strength"] / band["strength_sigma"])
     full = [mineral for mineral, result in depths.items() if min(result) >= SEEN]
     some = [mineral for mineral, result in depths.items() if min(result) < SEEN <= max(result)]

@@ -36,6 +36,8 @@ TABLES = (BANDS, COMPOSITIONS)
 MAFIC_FAMILIES = ("OL", "OPX", "CPX", "OL-OPX", "OL-CPX", "OPX-CPX", "OL-OPX-CPX")
 FAMILIES = (*MAFIC_FAMILIES, "PLG", *(f"{family}-PLG" for family in MAFIC_FAMILIES))
 """Every assemblage: one to three mafic minerals, each with and without plagioclase, and plagioclase alone."""
+COMPARED = [name for key, name in MINERALS.items() if any(key in family.split("-") for family in FAMILIES)]
+"""Minerals that `auto` compares; of others it says nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +176,7 @@ def chances(probabilities: Mapping[str, float]) -> dict[str, float]:
     >>> chances({"OPX": 0.5, "OL-CPX": 0.25, "CPX": 0.25})["pyroxene"]
     1.0
     """
-    wanted = {name: (key,) for key, name in MINERALS.items()} | GROUPS
+    wanted = {name: (key,) for key, name in MINERALS.items() if name in COMPARED} | GROUPS
     return {
         name: min(1.0, sum(p for one, p in probabilities.items() if not set(keys).isdisjoint(one.split("-"))))
         for name, keys in wanted.items()
@@ -196,15 +198,15 @@ def standing(probabilities: Mapping[str, float], beyond: Sequence[str] = (), cau
     """
     chance = chances(probabilities)
     beyond = (*beyond, *PYROXENES) if cause else beyond
-    sure = [name for name in MINERALS.values() if chance[name] >= SURE]
-    absent = [name for name in MINERALS.values() if chance[name] <= 1 - SURE]
+    sure = [name for name in COMPARED if chance[name] >= SURE]
+    absent = [name for name in COMPARED if chance[name] <= 1 - SURE]
     for group, keys in GROUPS.items():
         members = {MINERALS[key] for key in keys}
         if chance[group] >= SURE:
             absent = [name for name in absent if name not in members]
             sure += [group] if members.isdisjoint(sure) else []
     sure = [name for name in sure if name not in beyond]
-    left = [name for name in MINERALS.values() if name not in (*sure, *absent)]
+    left = [name for name in COMPARED if name not in (*sure, *absent)]
     return {"sure": sure, "open": left, "not_needed": absent}
 
 

@@ -465,7 +465,6 @@ def _ratio_profile(fit: MgmFit, name: str) -> _Profile:
 
 def _minimum(fit: MgmFit, model: MgmModel, starts: Sequence[FloatArray]) -> tuple[FloatArray, float]:
     """Point and objective of the lowest minimum under `model`, the objective with the fit's own prior."""
-
     spectra = channels_of(MgmRows.together([fit.data]), model)
     points = np.clip(np.array(starts), model.lower, model.upper)[:, None]
     solved = fit_batch(spectra, problem_of(model), points, NO_HOPS, TOLERANCE, MAX_ITERATIONS)

@@ -93,7 +93,6 @@ class FittedBand:
 
     def curve(self, wavelength_nm: FloatArray) -> FloatArray:
         """The band alone, in ln reflectance, on wavelengths in nm; shape as given."""
-
         x = (wavelength_nm - self.center_nm) * FWHM_OVER_SIGMA / self.fwhm_nm
         return self.strength * np.exp(-0.5 * x**2)
 

@@ -23,12 +23,11 @@ ALIKE = 1.5
 """A map that reaches less than so many times as far as the one near the site would show the same; it is left out."""
 
 
-def match_pages(matches: Sequence[RockMatch], site: Point) -> "Iterator[Figure]":
+def match_pages(matches: Sequence[RockMatch], site: Point) -> Iterator[Figure]:
     """One page per rock: all craters, those near the site, and below bars of prior, posterior and ln Bayes factor.
 
     Maps are azimuthal equidistant about the site: distances and directions from it are true, circles are rims.
     """
-
     for match in matches:
         scale = Normalize(0, max(0.05, *(item.posterior for item in match.craters)))
         distances = sorted(item.prior.distance_km + item.crater.diameter_km / 2 for item in match.craters)
@@ -54,13 +53,12 @@ def _delivering(match: RockMatch) -> list[CraterMatch]:
     return [item for item in match.craters if not item.contains_site]
 
 
-def _color(scale: "Normalize", posterior: float) -> Any:
-
+def _color(scale: Normalize, posterior: float) -> Any:
     return colormaps[COLORS](PALEST + (1 - PALEST) * float(scale(posterior)))
 
 
 def _draw_map(
-    axes: Any, match: RockMatch, site: Point, scale: "Normalize", reach_km: float, title: str, unnamed_km: float = 0.0
+    axes: Any, match: RockMatch, site: Point, scale: Normalize, reach_km: float, title: str, unnamed_km: float = 0.0
 ) -> list[tuple[str, float, float]]:
     """Rims and rays; the names to be written, the likeliest first, with the northern ends of the rims."""
     named = []
@@ -113,7 +111,7 @@ def _on_map(site: Point, latitude: FloatArray, longitude: FloatArray) -> tuple[F
     return distance * np.sin(heading), distance * np.cos(heading)
 
 
-def _draw_bars(part: Any, match: RockMatch, scale: "Normalize") -> None:
+def _draw_bars(part: Any, match: RockMatch, scale: Normalize) -> None:
     """Prior (grey) and posterior, the likeliest above, with the ln Bayes factor as text."""
     axes = part.subplots()
     items = sorted(_delivering(match), key=lambda one: one.posterior, reverse=True)[:MOST_SHOWN]

@@ -270,7 +270,6 @@ def _inside(mean: FloatArray, covariance: FloatArray) -> FloatArray:
 
 def _volume(size: int) -> float:
     """Volume of the shares that add up to 1, in the coordinates of `_basis`: sqrt(n) / (n - 1)!"""
-
     return sqrt(size) / factorial(size - 1)
 
 

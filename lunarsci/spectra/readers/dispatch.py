@@ -105,7 +105,6 @@ def _calibrated(path: str) -> Spectrum:
 
     Raises DataError for one that is in doubt: only that command shows it.
     """
-
     result = calibrate(read_observation(path))
     if result.doubts:
         raise DataError(

@@ -58,7 +58,7 @@ def read_relab(source: InputFile) -> SpectrumTable:
     if not lines or not _COUNT.fullmatch(lines[0][1]):
         first = quoted(lines[0][1]) if lines else "nothing"
         raise DataError(
-            f"{source.name}: no RELAB file: it begins with {first}, not the number of channels; use --format text"
+            f"{source.name}: no RELAB file: it begins with {first}, not the number of channels; give `format` text"
         )
     count = int(lines[0][1][:18])
     rows, below = _rows_and_below(lines[1:], count)
@@ -143,7 +143,7 @@ def _record(source: InputFile) -> _Record:
     match = _SPLIB_HEADER.match(lines[0][1]) if lines else None
     if match is None:
         first = quoted(lines[0][1]) if lines else "nothing"
-        raise DataError(f"{source.name}: begins with {first}, not with 'splib07... Record=...'; use --format text")
+        raise DataError(f"{source.name}: begins with {first}, not with 'splib07... Record=...'; give `format` text")
     rows = [Row(n, (line,)) for n, line in lines[1:]]
     if not rows:
         raise DataError(f"{source.name}: holds a header and no values (truncated download?); fetch it again")

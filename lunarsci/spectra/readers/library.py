@@ -240,7 +240,6 @@ MOST_NAMES = 12
 
 def library_pages(members: Sequence[EndMember]) -> "Iterator[Figure]":
     """One page; colour runs with the first component of the chemistry, grey where unknown; at most 12 are named."""
-
     groups = {mineral: [m for m in members if m.mineral == mineral] for mineral in (*MINERALS, None)}
     groups = {mineral: group for mineral, group in groups.items() if group}
     columns = min(2, len(groups))

@@ -342,7 +342,6 @@ def _says_reflectance(name: str) -> bool:
 
 def _is_no_radiance(values: FloatArray, wavelength: FloatArray) -> bool:
     """Whether values vary less as they are than divided by the Sun's irradiance, as radiance does not."""
-
     sun = solar_spectrum("e490")
     with np.errstate(invalid="ignore"):
         lit = (values > 0) & (wavelength >= sun.wavelength_nm[0]) & (wavelength <= sun.wavelength_nm[-1])

@@ -1,7 +1,7 @@
-"""The chain: from an observation's radiances to one reflectance spectrum with its errors.
+"""Calibration of one VNIS observation: from its radiances to one reflectance spectrum with its errors.
 
-On the way, what of the observation is used, and what the reader should know: pixels, channels, levels, factors of the
-joining.
+Beside it stands what of the observation is used, and what the reader should know: pixels, channels, levels, and the
+factors of the joining.
 """
 
 import warnings

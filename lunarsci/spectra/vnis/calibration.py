@@ -250,7 +250,6 @@ _SHADOW, _INVALID = (0.0, 0.62, 0.45, 0.8), (0.8, 0.47, 0.65, 0.9)
 
 def calibration_pages(calibrations: Sequence[Calibration]) -> "Iterator[Figure]":
     """Image with footprint and rejected pixels; radiance; reflectance before and after correction; the spectrum."""
-
     for item in calibrations:
         figure = page(7.4)
         (image, radiance), (reflectance, spectrum) = figure.subplots(2, 2)

@@ -61,7 +61,6 @@ def region_edge(probability: float, members: int, dimensions: int) -> float:
     Prediction region of Hotelling (1931), Ann. Math. Stat. 2, 360, 10.1214/aoms/1177732979; with an error of
     measurement that is known, it is somewhat too wide. Infinite with no more members than dimensions. [-]
     """
-
     if members <= dimensions:
         return float("inf")
     factor = (members - 1) * dimensions / (members - dimensions)
@@ -69,7 +68,6 @@ def region_edge(probability: float, members: int, dimensions: int) -> float:
 
 
 def _beyond(squared: float, members: int, dimensions: int) -> float:
-
     factor = (members - 1) * dimensions / (members - dimensions)
     return float(fdtrc(dimensions, members - dimensions, squared / factor))
 
@@ -210,7 +208,6 @@ def predictive_rank(observed: FloatArray, sigma: FloatArray, members: FloatArray
     integral transform of A. P. Dawid (1984), J. R. Stat. Soc. A 147, 278, 10.2307/2981683. Half a rank keeps it off 0
     and 1.
     """
-
     total = np.zeros(observed.shape)
     for member in members:
         total += ndtr((observed - member) / sigma)
@@ -459,7 +456,6 @@ def _check(matched: MatchedObservations, name: str, wheel: str, rows: BoolArray)
 
 def half_band(members: int) -> float:
     """Half the 90 % band of a normal law whose mean and deviation are known from so many members. [sd]"""
-
     return float(stdtrit(members - 1, 0.5 + NOMINAL / 2))
 
 

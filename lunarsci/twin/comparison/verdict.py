@@ -90,7 +90,6 @@ def piece_edges(matched: MatchedObservations, names: list[str], pieces: int) -> 
 
 def piece_means(matched: MatchedObservations, name: str, edges: FloatArray) -> PieceMeans | None:
     """Means of a quantity over all wheels and the times between edges; None where a piece has no value."""
-
     column = OBSERVED.index(name)
     rows = matched.counted[:, column]
     piece = np.searchsorted(edges, matched.record.time_s[rows]) - 1
@@ -317,7 +316,6 @@ def check_coverage(matched: MatchedObservations, bands: Sequence[BandCheck], see
 
 def _fall(check: BandCheck, share: float, least: float) -> float:
     """Binomial probability of the share over that of the least share of a member, at most 1. [-]"""
-
     values = max(int(check.effective), 1)
     single, other = (bdtr(np.floor(one * values), values, NOMINAL) for one in (share, least))
     return min(float(single / max(other, 1e-300)), 1.0)

@@ -47,7 +47,6 @@ INSETS = ("tilt_deg", "slip_ratio")
 
 def check_format(target: Path) -> None:
     """Raise ParameterError for a film that cannot be written here: another suffix, or .mp4 without ffmpeg."""
-
     suffix = target.suffix.lower()
     if suffix not in FORMATS:
         raise ParameterError(f"{target}: films are written as {', '.join(FORMATS)}")
@@ -116,7 +115,6 @@ def _gif(stage: "_Stage", samples: list[int], reported: Callable[[int], None]) -
 
 
 def _mp4(stage: "_Stage", samples: list[int], reported: Callable[[int], None]) -> bytes:
-
     writer = FFMpegWriter(PER_SECOND, codec="libx264", extra_args=["-pix_fmt", "yuv420p", "-loglevel", "error"])
     with tempfile.TemporaryDirectory() as folder:
         film = Path(folder) / "film.mp4"
@@ -130,7 +128,6 @@ def _mp4(stage: "_Stage", samples: list[int], reported: Callable[[int], None]) -
 
 def _palette(pixels: npt.NDArray[np.uint8]) -> bytes:
     """Greys for the ground, and what represents the colourful pixels best, as red, green, blue of each."""
-
     flat = pixels.reshape(-1, 3)
     vivid = flat[np.ptp(flat, axis=1) > VIVID]
     greys = np.repeat(np.linspace(0, 255, GREYS).astype(np.uint8), 3).tobytes()
@@ -140,9 +137,8 @@ def _palette(pixels: npt.NDArray[np.uint8]) -> bytes:
     return greys + bytes(chosen[: 3 * COLORS])
 
 
-def _pixels(figure: "Figure") -> npt.NDArray[np.uint8]:
+def _pixels(figure: Figure) -> npt.NDArray[np.uint8]:
     """The figure as red, green, blue and opacity. (height, width, 4)"""
-
     canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()
     return np.array(canvas.buffer_rgba(), dtype=np.uint8)
@@ -160,7 +156,6 @@ class _Stage:
     """The picture whose moving parts are set for each sample."""
 
     def __init__(self, prediction: Prediction, verdict: Verdict) -> None:
-
         self.prediction = prediction
         self.member = median_member(prediction)
         figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), dpi=DPI, facecolor="white")
@@ -172,7 +167,6 @@ class _Stage:
         self.moving = self._parts()
 
     def _parts(self) -> dict[str, Any]:
-
         ground, *insets = self.axes
         colors = np.array(member_colors(self.prediction), dtype=object)
         self.members = shown_members(self.prediction)
@@ -216,7 +210,7 @@ def _of_member(prediction: Prediction, quantity: str) -> FloatArray:
     return values if values.ndim == 2 else np.asarray(np.abs(values).max(axis=2))
 
 
-def _background(figure: "Figure", prediction: Prediction, verdict: Verdict, member: int) -> npt.NDArray[np.uint8]:
+def _background(figure: Figure, prediction: Prediction, verdict: Verdict, member: int) -> npt.NDArray[np.uint8]:
     """Draw all that stands still; the picture as pixels."""
     ground = figure.add_axes((0.07, 0.1, 0.61, 0.82))
     terrain = prediction.terrain
@@ -232,7 +226,7 @@ def _background(figure: "Figure", prediction: Prediction, verdict: Verdict, memb
     return _pixels(figure)
 
 
-def _draw_inset(axes: "Axes", prediction: Prediction, name: str, member: int) -> None:
+def _draw_inset(axes: Axes, prediction: Prediction, name: str, member: int) -> None:
     where, label = abscissa(prediction)
     values = _of_member(prediction, name)
     low, _, high, *_ = spread(values, prediction.reached)
@@ -246,7 +240,7 @@ def _draw_inset(axes: "Axes", prediction: Prediction, name: str, member: int) ->
     axes.grid(alpha=0.25, linewidth=0.5)
 
 
-def _clear_axes(figure: "Figure", drawn: "Axes") -> "Axes":
+def _clear_axes(figure: Figure, drawn: Axes) -> Axes:
     """Invisible axes over those of the background, with the same place and limits."""
     axes: Axes = figure.add_axes(drawn.get_position().bounds)
     axes.set_xlim(drawn.get_xlim())

@@ -29,7 +29,7 @@ LEAST_SHOWN, MOST_SHOWN = 0.005, 1.0
 """Ends of the colour scale of risks, which is logarithmic. [-]"""
 
 
-def candidate_map(surface: Traversability, choice: DriveChoice) -> "Figure":
+def candidate_map(surface: Traversability, choice: DriveChoice) -> Figure:
     """All candidates on the shaded relief in the colour of their risk, the best one bold, its weakest place marked."""
     terrain = surface.terrain
     (left, right), (low, high) = _frame(surface, choice)
@@ -61,7 +61,6 @@ def candidate_map(surface: Traversability, choice: DriveChoice) -> "Figure":
 
 
 def _scale() -> Any:
-
     return ScalarMappable(LogNorm(LEAST_SHOWN, MOST_SHOWN), colormaps[COLORS])
 
 
@@ -84,7 +83,7 @@ def _frame(surface: Traversability, choice: DriveChoice) -> tuple[tuple[float, f
     )
 
 
-def _draw_way(axes: "Axes", one: DriveCandidate, scale: Any, *, best: bool) -> None:
+def _draw_way(axes: Axes, one: DriveCandidate, scale: Any, *, best: bool) -> None:
     x, y, _ = poses_along(one.plan, 0.05).T
     color = scale.to_rgba(min(max(one.stated.risk, LEAST_SHOWN), MOST_SHOWN))
     if best:
@@ -93,7 +92,7 @@ def _draw_way(axes: "Axes", one: DriveCandidate, scale: Any, *, best: bool) -> N
     axes.plot(x, y, color=color, linewidth=3.2 if best else 1.1, alpha=1.0 if best else 0.8, zorder=7 if best else 4)
 
 
-def _mark_choice(axes: "Axes", choice: DriveChoice) -> None:
+def _mark_choice(axes: Axes, choice: DriveChoice) -> None:
     """Start, target, halts, drives on the soils, and the weakest place of the best one."""
     best = choice.best
     ends = best.prediction.endpoints_m
@@ -109,7 +108,7 @@ def _mark_choice(axes: "Axes", choice: DriveChoice) -> None:
     _mark_weakest(axes, best)
 
 
-def _mark_weakest(axes: "Axes", best: DriveCandidate) -> None:
+def _mark_weakest(axes: Axes, best: DriveCandidate) -> None:
     weak = best.weakest
     look: Any = {"color": HAZARD, "markeredgecolor": "white", "markersize": 12, "zorder": 10}
     axes.plot(weak.x_m, weak.y_m, "X", label="least margin", **look)
@@ -133,7 +132,7 @@ def _end_of(plan: Plan, legs: int) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def front_page(choice: DriveChoice) -> "Figure":
+def front_page(choice: DriveChoice) -> Figure:
     """Risk with its bounds against energy, and against length; the front that no drive beats is joined."""
     figure = page(3.9)
     panels: Any = figure.subplots(1, 2, sharey=True)
@@ -158,7 +157,7 @@ def front_page(choice: DriveChoice) -> "Figure":
     return figure
 
 
-def _draw_risks(axes: "Axes", choice: DriveChoice, name: str) -> None:
+def _draw_risks(axes: Axes, choice: DriveChoice, name: str) -> None:
     kinds = (
         ("#8d9aa2", "x", "stopped early", [one for one in choice.candidates if one.stopped]),
         ("#0072B2", "o", "on the common soils", [one for one in choice.candidates if not one.stopped]),
@@ -176,7 +175,7 @@ def _draw_risks(axes: "Axes", choice: DriveChoice, name: str) -> None:
     )  # fmt: skip
 
 
-def _bars(axes: "Axes", group: list[DriveCandidate], name: str, color: str, marker: str, label: str) -> None:
+def _bars(axes: Axes, group: list[DriveCandidate], name: str, color: str, marker: str, label: str) -> None:
     x = [getattr(one, name) for one in group]
     risk = np.array([one.stated.risk for one in group])
     low, high = (np.array([getattr(one.stated, end) for one in group]) for end in ("low", "high"))
@@ -196,7 +195,7 @@ MOST_NAMED = 8
 """Designs of the front whose values are written beside their dots."""
 
 
-def design_front_page(designs: Sequence[Design], front: Sequence[int], *, synthetic: bool = False) -> "Figure":
+def design_front_page(designs: Sequence[Design], front: Sequence[int], *, synthetic: bool = False) -> Figure:
     """Share of drives that break a limit against the energy of the others, and the designs that none beats in both."""
     figure = page(5.0, 6.0)
     axes = figure.subplots()
@@ -236,7 +235,7 @@ def _values(design: Design) -> str:
     return ", ".join(f"{value:.3g}" for value in design.values.values())
 
 
-def curve_page(designs: Sequence[Design], names: Sequence[str], *, synthetic: bool = False) -> "Figure":
+def curve_page(designs: Sequence[Design], names: Sequence[str], *, synthetic: bool = False) -> Figure:
     """Each measure against each varied number: a dot for each design, the line through the medians of equal values."""
     figure = page(1.5 * len(MEASURES) + 0.6)
     panels = figure.subplots(len(MEASURES), len(names), squeeze=False, sharex="col", sharey="row")
@@ -261,7 +260,7 @@ def _label(name: str) -> str:
     return f"{as_label(bare.replace('.', ' ').replace('_', ' '))} [{unit.replace(' / ', '/') or '-'}]"
 
 
-def _draw_curve(axes: "Axes", values: Any, measured: Any) -> None:
+def _draw_curve(axes: Axes, values: Any, measured: Any) -> None:
     finished = np.isfinite(measured)
     axes.plot(values[finished], measured[finished], "o", color=ACCENT, markersize=4, alpha=0.55, markeredgewidth=0)
     places = np.unique(values[finished])
@@ -279,7 +278,7 @@ MOST_ARRIVALS = 24
 """Names of arrivals that fit side by side; one that is too near to the one before is left out."""
 
 
-def mission_map(surface: Traversability, driven: DrivenMission) -> "Figure":
+def mission_map(surface: Traversability, driven: DrivenMission) -> Figure:
     """Legs in turns of two colours, the drives' ends before each localisation, targets and ground to keep out of."""
     terrain = surface.terrain
     places = _places(driven)
@@ -328,7 +327,7 @@ def _headline(driven: DrivenMission) -> str:
     return f"{reached}; all limits kept by {100 * driven.safe.mean():.0f} % of {driven.safe.size} drives"
 
 
-def _draw_leg(axes: "Axes", leg: MissionLeg) -> None:
+def _draw_leg(axes: Axes, leg: MissionLeg) -> None:
     x, y, _ = poses_along(leg.plan, 0.05).T
     color = (PATH, ACCENT)[leg.number % 2]
     axes.plot(x, y, color="white", linewidth=4.4, zorder=5)
@@ -340,9 +339,8 @@ def _draw_leg(axes: "Axes", leg: MissionLeg) -> None:
         axes.plot(*leg.ends_m[~safe].T, "x", color=HAZARD, markersize=5, alpha=0.8, zorder=7)
 
 
-def _mark(axes: "Axes", driven: DrivenMission) -> None:
+def _mark(axes: Axes, driven: DrivenMission) -> None:
     """Start, localised places, targets, and circles."""
-
     start = driven.mission.start
     axes.plot(start.x_m, start.y_m, "o", color="white", markeredgecolor=INK, markersize=9, zorder=9, label="start")
     fixed = np.array([leg.fixed[:2] for leg in driven.legs]).reshape(-1, 2)
@@ -357,7 +355,7 @@ def _mark(axes: "Axes", driven: DrivenMission) -> None:
         )
 
 
-def timetable(driven: DrivenMission, *, synthetic: bool = False) -> "Figure":
+def timetable(driven: DrivenMission, *, synthetic: bool = False) -> Figure:
     """What the rover does when, in hours, below the windows of communication; and the share of drives that go on."""
     figure = page(3.9)
     panels: Any = figure.subplots(2, 1, sharex=True, height_ratios=(1, 2))
@@ -385,7 +383,7 @@ def timetable(driven: DrivenMission, *, synthetic: bool = False) -> "Figure":
     return figure
 
 
-def _draw_times(axes: "Axes", driven: DrivenMission) -> None:
+def _draw_times(axes: Axes, driven: DrivenMission) -> None:
     mission, end = driven.mission, max(driven.end_s, 1.0)
     waits = [(leg.begin_s - leg.waited_s, leg.waited_s) for leg in driven.legs]
     drives = [(leg.begin_s, leg.drive_s) for leg in driven.legs]

@@ -27,7 +27,7 @@ DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (7, 2)))
 
 def comparison_figure(
     matched: MatchedObservations, comparison: DriveComparison, title: str, verdict: str = ""
-) -> "Figure":
+) -> Figure:
     """Paths and ends above, wheel states below them, ranks and standardised differences last.
 
     Bands span p05 to p95 over members and wheels; a measured state with a ring is outside of the 90 % band of its own
@@ -73,7 +73,7 @@ def _shown(matched: MatchedObservations) -> IntArray:
     return matched.members[np.unique(np.linspace(0, count - 1, min(count, MOST_PATHS)).astype(np.int64))]
 
 
-def _draw_paths(axes: "Axes", matched: MatchedObservations) -> None:
+def _draw_paths(axes: Axes, matched: MatchedObservations) -> None:
     """The fan, the plan, and the measured positions with a thin line between them."""
     forecast, record = matched.forecast, matched.record
     for number, member in enumerate(_shown(matched)):
@@ -91,16 +91,15 @@ def _draw_paths(axes: "Axes", matched: MatchedObservations) -> None:
     axes.set_title("paths of the rover's origin")
 
 
-def _frame_map(axes: "Axes") -> None:
+def _frame_map(axes: Axes) -> None:
     axes.set_aspect("equal", adjustable="datalim")
     axes.grid()
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
 
 
-def _draw_end(axes: "Axes", matched: MatchedObservations, comparison: DriveComparison) -> None:
+def _draw_end(axes: Axes, matched: MatchedObservations, comparison: DriveComparison) -> None:
     """The predicted places at the last position, their regions, the plan and what was measured."""
-
     if comparison.end is None:
         axes.text(0.5, 0.5, "no positions were measured", ha="center", va="center", transform=axes.transAxes)
         axes.set_axis_off()
@@ -131,7 +130,7 @@ def _draw_end(axes: "Axes", matched: MatchedObservations, comparison: DriveCompa
     axes.set_title(f"{where}: {end.error_m:.3f} m from the middle{standing}")
 
 
-def _draw_states(axes: "Axes", matched: MatchedObservations, name: str) -> None:
+def _draw_states(axes: Axes, matched: MatchedObservations, name: str) -> None:
     """Band over members and wheels, and the measured states by wheel, those outside of their own band in red."""
     label, factor = LABELS.get(name, (name, 1.0))
     forecast, column = matched.forecast, OBSERVED.index(name)
@@ -176,7 +175,6 @@ def _percentiles(values: FloatArray) -> FloatArray:
 
 
 def _handles(matched: MatchedObservations) -> list[Any]:
-
     ring: Any = {"markerfacecolor": "none", "markeredgecolor": LIMIT, "markersize": 6, "linewidth": 0}
     handles: list[Any] = [
         Patch(facecolor=ACCENT, alpha=0.22, label="predicted, p05 to p95, without errors of measurement"),
@@ -187,7 +185,7 @@ def _handles(matched: MatchedObservations) -> list[Any]:
     return handles
 
 
-def _draw_standard(axes: "Axes", matched: MatchedObservations, names: list[str]) -> None:
+def _draw_standard(axes: Axes, matched: MatchedObservations, names: list[str]) -> None:
     """Standardised differences of the states beside the normal law that they should have, on the whole."""
     edges = np.linspace(-5.0, 5.0, 26)
     for number, name in enumerate(names):
@@ -202,7 +200,7 @@ def _draw_standard(axes: "Axes", matched: MatchedObservations, names: list[str])
     axes.set_yticks([])
 
 
-def _draw_ranks(axes: "Axes", matched: MatchedObservations, names: list[str]) -> None:
+def _draw_ranks(axes: Axes, matched: MatchedObservations, names: list[str]) -> None:
     """How the measured states rank in what was predicted: even, over many drives, if the prediction is right."""
     for number, name in enumerate(names):
         look: Any = {"histtype": "step", "linewidth": 1.5, "color": COLORS[number % 6], "linestyle": DASHES[number % 6]}
@@ -218,7 +216,7 @@ def _short(name: str) -> str:
     return LABELS[name][0].partition(" [")[0]
 
 
-def trials_figure(trials: Sequence[TrialScore], title: str, *, synthetic: bool = False) -> "Figure":
+def trials_figure(trials: Sequence[TrialScore], title: str, *, synthetic: bool = False) -> Figure:
     """Median slip of each trial as measured and predicted, and errors of the ends from the smallest on."""
     figure = page(3.2)
     slips, ends = figure.subplots(1, 2)

@@ -36,7 +36,7 @@ ROUNDING_M = 1e-4
 CONTOURS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 
-def terrain_maps(surface: Traversability, path: PlannedPath | None = None) -> "Figure":
+def terrain_maps(surface: Traversability, path: PlannedPath | None = None) -> Figure:
     """Four maps with one scale: relief with contours, slope, steps with roughness as contours, and traversability.
 
     The path of the rover's origin is drawn on each, the ground that its footprint sweeps on the first and the last.
@@ -81,9 +81,8 @@ def _extent(terrain: Terrain) -> tuple[float, float, float, float]:
     return float(x[0]) - half, float(x[-1]) + half, float(y[0]) - half, float(y[-1]) + half
 
 
-def _draw_shadow(axes: "Axes", terrain: Terrain, lit: npt.NDArray[np.bool_]) -> None:
+def _draw_shadow(axes: Axes, terrain: Terrain, lit: npt.NDArray[np.bool_]) -> None:
     """Ground in shadow, dark over the relief."""
-
     dark = np.ma.masked_array(np.ones(lit.shape), mask=lit)
     axes.imshow(
         dark, extent=_extent(terrain), origin="lower", cmap=ListedColormap([INK]), alpha=0.6, interpolation="nearest"
@@ -91,7 +90,7 @@ def _draw_shadow(axes: "Axes", terrain: Terrain, lit: npt.NDArray[np.bool_]) -> 
     axes.set_title(f"{axes.get_title()}; dark: in shadow")
 
 
-def draw_relief(axes: "Axes", terrain: Terrain, every: tuple[slice, slice], *, height_bar: bool = True) -> None:
+def draw_relief(axes: Axes, terrain: Terrain, every: tuple[slice, slice], *, height_bar: bool = True) -> None:
     """Shaded relief with contours."""
     height = np.ma.masked_invalid(terrain.height_m[every])
     axes.set_facecolor(UNKNOWN)
@@ -110,7 +109,7 @@ def draw_relief(axes: "Axes", terrain: Terrain, every: tuple[slice, slice], *, h
 
 
 def _draw_map(
-    axes: "Axes", surface: Traversability, values: npt.NDArray[np.float32], every: tuple[slice, slice], color_map: str,
+    axes: Axes, surface: Traversability, values: npt.NDArray[np.float32], every: tuple[slice, slice], color_map: str,
     top: float,
 ) -> Any:  # fmt: skip
     axes.set_facecolor(UNKNOWN)
@@ -130,14 +129,14 @@ def _top(values: npt.NDArray[np.float32], limit: float | None) -> float:
     return max(top, 1e-6)
 
 
-def _bar(axes: "Axes", image: Any, label: str, extend: str = "max") -> Any:
+def _bar(axes: Axes, image: Any, label: str, extend: str = "max") -> Any:
     figure: Any = axes.figure
     bar = figure.colorbar(image, ax=axes, orientation="horizontal", fraction=0.05, pad=0.02, aspect=30, extend=extend)
     bar.set_label(label)
     return bar
 
 
-def _draw_slope(axes: "Axes", surface: Traversability, every: tuple[slice, slice]) -> None:
+def _draw_slope(axes: Axes, surface: Traversability, every: tuple[slice, slice]) -> None:
     maps, limit = surface.maps, surface.mobility.max_slope_deg
     image = _draw_map(axes, surface, maps.slope_deg, every, "viridis", _top(maps.slope_deg, limit))
     _bar(axes, image, "slope [°]")
@@ -145,7 +144,7 @@ def _draw_slope(axes: "Axes", surface: Traversability, every: tuple[slice, slice
     axes.set_title(f"slope over {side}; limit {limit:g}°")
 
 
-def _draw_steps(axes: "Axes", surface: Traversability, every: tuple[slice, slice]) -> None:
+def _draw_steps(axes: Axes, surface: Traversability, every: tuple[slice, slice]) -> None:
     """Steps in colour, roughness as a few contours."""
     maps, limit, terrain = surface.maps, surface.mobility.max_step_m, surface.terrain
     image = _draw_map(axes, surface, maps.step_m, every, "viridis", _top(maps.step_m, limit))
@@ -161,8 +160,7 @@ def _draw_steps(axes: "Axes", surface: Traversability, every: tuple[slice, slice
     axes.set_title(f"{steps}; white lines: rms roughness")
 
 
-def _draw_traversability(axes: "Axes", surface: Traversability, every: tuple[slice, slice]) -> None:
-
+def _draw_traversability(axes: Axes, surface: Traversability, every: tuple[slice, slice]) -> None:
     color_map = colormaps["cividis"].with_extremes(over=HAZARD, bad=UNKNOWN)
     axes.set_facecolor(UNKNOWN)
     image = axes.imshow(
@@ -175,7 +173,7 @@ def _draw_traversability(axes: "Axes", surface: Traversability, every: tuple[sli
     axes.set_title(f"{share:.1%} may be driven on; hatched: hazard")
 
 
-def _hatch(axes: "Axes", terrain: Terrain, hazard: npt.NDArray[np.bool_], every: tuple[slice, slice]) -> None:
+def _hatch(axes: Axes, terrain: Terrain, hazard: npt.NDArray[np.bool_], every: tuple[slice, slice]) -> None:
     """Hatched in red, so that hazards are seen in grey, too; what is unknown stays white."""
     x, y = terrain.x_m[every[1]], terrain.y_m[every[0]]
     if hazard.any():
@@ -186,8 +184,7 @@ def _hatch(axes: "Axes", terrain: Terrain, hazard: npt.NDArray[np.bool_], every:
         axes.fill([], [], facecolor=HAZARD, alpha=0.3, hatch="////", label="hazard")
 
 
-def _draw_path(axes: "Axes", path: PlannedPath, terrain: Terrain, *, outline: bool) -> None:
-
+def _draw_path(axes: Axes, path: PlannedPath, terrain: Terrain, *, outline: bool) -> None:
     poses = planned_pose(path.plan, np.linspace(0.0, path.plan.length_m, 400))
     axes.plot(poses[:, 0], poses[:, 1], color="white", linewidth=2.8, zorder=4)
     axes.plot(poses[:, 0], poses[:, 1], color=PATH, linewidth=1.5, zorder=5, label="path")
@@ -202,7 +199,7 @@ def _draw_path(axes: "Axes", path: PlannedPath, terrain: Terrain, *, outline: bo
         axes.add_patch(Polygon(corners, fill=False, edgecolor="white", linewidth=1.3, zorder=5))
 
 
-def residual_page(record: DriveRecord, learned: SoilUpdate, changes: list[SoilChange]) -> "Figure":
+def residual_page(record: DriveRecord, learned: SoilUpdate, changes: list[SoilChange]) -> Figure:
     """Measured less simulated on the best single soil, in errors, against the place of each wheel along the way.
 
     Lines are medians over 0.4 m; where the soil changes a line stands in the interval that holds it at 95 %.
@@ -244,7 +241,7 @@ def _medians(places: Any, values: Any) -> tuple[Any, Any]:
     return (middles + 0.5) * WINDOW_M, np.array([np.median(values[number == middle]) for middle in middles])
 
 
-def soil_pages(layers: SoilLayers, soil_map: SoilMap) -> "Iterator[Figure]":
+def soil_pages(layers: SoilLayers, soil_map: SoilMap) -> Iterator[Figure]:
     """Two pages of eight maps: medians, and what is left of the first laws' standard deviation; tracks are drawn."""
     terrain, shape = layers.terrain, layers.terrain.height_m.shape
     soil = {name: from_si(name, terrain.soil[..., SOIL_COLUMNS[name]]) for name in PARAMETERS}
@@ -261,7 +258,7 @@ def _soil_page(
     values: dict[str, FloatArray],
     title: str,
     limits: tuple[float, float] | None,
-) -> "Figure":
+) -> Figure:
     terrain = layers.terrain
     tall = float(np.clip(np.ptp(terrain.y_m) / np.ptp(terrain.x_m), 0.3, 2.0))
     columns = 2 if tall < 0.75 else 4

@@ -33,7 +33,6 @@ def shown_members(prediction: Prediction) -> IntArray:
 
 
 def _scale(prediction: Prediction) -> Any:
-
     values = next(iter(prediction.parameters.values()))
     return ScalarMappable(Normalize(float(values.min()), float(values.max())), colormaps["viridis"])
 
@@ -69,7 +68,7 @@ def map_window(prediction: Prediction, terrain: Terrain, margin_m: float = MARGI
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
-def draw_shade(axes: "Axes", height: Any, spacing_m: float, **look: Any) -> None:
+def draw_shade(axes: Axes, height: Any, spacing_m: float, **look: Any) -> None:
     """Shaded relief of heights, masked where there are none, in light from the upper left."""
 
     # Matplotlib takes the first row for the north one.
@@ -78,7 +77,7 @@ def draw_shade(axes: "Axes", height: Any, spacing_m: float, **look: Any) -> None
     axes.imshow(shade, origin="lower", cmap="gray", vmin=-0.35, vmax=1.05, **look)
 
 
-def draw_ground(axes: "Axes", terrain: Terrain, window: tuple[slice, slice], interval_m: float) -> None:
+def draw_ground(axes: Axes, terrain: Terrain, window: tuple[slice, slice], interval_m: float) -> None:
     """Shaded relief with contour lines."""
     x, y = terrain.x_m[window[1]], terrain.y_m[window[0]]
     height, half = np.ma.masked_invalid(terrain.height_m[window]), 0.5 * terrain.spacing_m
@@ -92,7 +91,7 @@ def draw_ground(axes: "Axes", terrain: Terrain, window: tuple[slice, slice], int
     axes.set(xlim=extent[:2], ylim=extent[2:], aspect="equal", xlabel="x [m]", ylabel="y [m]")
 
 
-def draw_paths(axes: "Axes", prediction: Prediction, colors: Any, width: float) -> None:
+def draw_paths(axes: Axes, prediction: Prediction, colors: Any, width: float) -> None:
     """The paths of the shown members as far as they came, and the planned one."""
     places = prediction.places_m
     for m in shown_members(prediction):
@@ -101,7 +100,7 @@ def draw_paths(axes: "Axes", prediction: Prediction, colors: Any, width: float) 
     draw_planned(axes, prediction)
 
 
-def draw_planned(axes: "Axes", prediction: Prediction) -> None:
+def draw_planned(axes: Axes, prediction: Prediction) -> None:
     """The planned path."""
     planned = prediction.planned
     axes.plot(planned[:, 0], planned[:, 1], color="white", linewidth=2.6, zorder=4)
@@ -110,9 +109,8 @@ def draw_planned(axes: "Axes", prediction: Prediction) -> None:
     )
 
 
-def draw_exclusion_zones(axes: "Axes", prediction: Prediction) -> None:
+def draw_exclusion_zones(axes: Axes, prediction: Prediction) -> None:
     """The circles that the plan keeps out of."""
-
     for number, circle in enumerate(prediction.plan.exclusion_zones):
         center, name = (circle.x_m, circle.y_m), "keep out" if number == 0 else None
         look: Any = {"facecolor": LIMIT, "alpha": 0.3, "linewidth": 0, "zorder": 2.5}
@@ -151,7 +149,7 @@ def wheel_dots(number: int) -> Any:
     return DOT_STYLES[number % len(DOT_STYLES)]
 
 
-def draw_band(axes: "Axes", prediction: Prediction, verdict: Verdict, quantity: str) -> None:
+def draw_band(axes: Axes, prediction: Prediction, verdict: Verdict, quantity: str) -> None:
     """p05 to p95, median and extremes over members and wheels, and the limit where it is in sight."""
     label, factor = LABELS[quantity]
     where, _ = abscissa(prediction)
@@ -167,7 +165,7 @@ def draw_band(axes: "Axes", prediction: Prediction, verdict: Verdict, quantity: 
             _draw_limit(axes, quantity, factor * judgement.limit, _unit(label))
 
 
-def draw_loads(axes: "Axes", prediction: Prediction) -> None:
+def draw_loads(axes: Axes, prediction: Prediction) -> None:
     """Normal force of each wheel: median and p05 to p95 over the members."""
     where, _ = abscissa(prediction)
     forces = along(prediction, "normal_force_n")
@@ -180,7 +178,7 @@ def draw_loads(axes: "Axes", prediction: Prediction) -> None:
     axes.set_ylabel(LABELS["normal_force_n"][0])
 
 
-def _draw_joints(axes: "Axes", prediction: Prediction) -> None:
+def _draw_joints(axes: Axes, prediction: Prediction) -> None:
     """Upright lines where the pieces of the plan join, range and grid."""
     where, _ = abscissa(prediction)
     if where is prediction.distance_m:
@@ -195,7 +193,7 @@ def _unit(label: str) -> str:
     return "" if unit == "-" else f" {unit}"
 
 
-def _draw_limit(axes: "Axes", quantity: str, limit: float, unit: str) -> None:
+def _draw_limit(axes: Axes, quantity: str, limit: float, unit: str) -> None:
     """Dashed lines where the limit is in sight, and its value in any case."""
     bottom, top = axes.get_ylim()
     signed = bottom < 0 and quantity in SIGNED

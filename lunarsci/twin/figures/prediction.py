@@ -36,7 +36,7 @@ from lunarsci.twin.simulation.ensemble import Prediction
 WHEELS = ("slip_ratio", "side_slip_deg", "sinkage_m")
 
 
-def path_fan(prediction: Prediction, verdict: Verdict) -> "Figure":
+def path_fan(prediction: Prediction, verdict: Verdict) -> Figure:
     """Terrain with planned and predicted paths, the ends about the destination, and wheel states against distance.
 
     The paths are coloured by the first swept parameter; at most 400 of them are drawn, evenly chosen. Bands span p05
@@ -69,7 +69,7 @@ def path_fan(prediction: Prediction, verdict: Verdict) -> "Figure":
     return figure
 
 
-def _draw_map(axes: "Axes", prediction: Prediction, terrain: Terrain, colors: Any) -> None:
+def _draw_map(axes: Axes, prediction: Prediction, terrain: Terrain, colors: Any) -> None:
     draw_ground(axes, terrain, map_window(prediction, terrain), 0.1)
     draw_exclusion_zones(axes, prediction)
     draw_paths(axes, prediction, colors, 0.7)
@@ -83,7 +83,7 @@ def _draw_map(axes: "Axes", prediction: Prediction, terrain: Terrain, colors: An
     axes.set_title("paths of the rover's origin; contours every 0.1 m")
 
 
-def _draw_ends(axes: "Axes", prediction: Prediction, verdict: Verdict, terrain: Terrain, colors: Any) -> None:
+def _draw_ends(axes: Axes, prediction: Prediction, verdict: Verdict, terrain: Terrain, colors: Any) -> None:
     """The last stretch, with error ellipses and the smallest circle about the destination that holds every end."""
     target = prediction.destination_m
     end = verdict.endpoint
@@ -106,9 +106,8 @@ def _draw_ends(axes: "Axes", prediction: Prediction, verdict: Verdict, terrain: 
     axes.set_title(f"ends: {text}; contours every 0.02 m")
 
 
-def _draw_spread(axes: "Axes", end: Endpoint) -> None:
+def _draw_spread(axes: Axes, end: Endpoint) -> None:
     """Covering circle about the destination, mean of the ends, ellipses of 1 to 3 sigma and 95 %."""
-
     center, mean = (end.planned_x_m, end.planned_y_m), (end.x_m, end.y_m)
     radius = end.covering_radius_m
     axes.add_patch(Circle(center, radius, fill=False, edgecolor=INK, linewidth=1.4, linestyle=":", zorder=5))
@@ -124,15 +123,14 @@ def _draw_spread(axes: "Axes", end: Endpoint) -> None:
 
 
 def _draw_ring(
-    axes: "Axes", mean: tuple[float, float], ellipse: ErrorEllipse, sigma: float, width: float, style: str
+    axes: Axes, mean: tuple[float, float], ellipse: ErrorEllipse, sigma: float, width: float, style: str
 ) -> None:
-
     size = (2.0 * sigma * ellipse.semi_major_m, 2.0 * sigma * ellipse.semi_minor_m)
     look: dict[str, Any] = {"fill": False, "edgecolor": INK, "linewidth": width, "linestyle": style, "zorder": 5}
     axes.add_patch(Ellipse(mean, *size, angle=ellipse.azimuth_deg, **look))
 
 
-def _sample(axes: "Axes", width: float, style: str) -> Any:
+def _sample(axes: Axes, width: float, style: str) -> Any:
     """A line for the legend, drawn nowhere."""
     return axes.plot([], [], color=INK, linewidth=width, linestyle=style)[0]
 
@@ -141,7 +139,7 @@ LEFT = ("tilt_deg", "roll_deg", "pitch_deg", "miss_m")
 RIGHT = ("clearance_m", "keep_out_m")
 
 
-def profile_page(prediction: Prediction, verdict: Verdict) -> "Figure":
+def profile_page(prediction: Prediction, verdict: Verdict) -> Figure:
     """Tilt, roll, pitch and miss on the left; clearance, distance to keep-out circles and wheel loads on the right.
 
     Bands span p05 to p95 over the members, the line is the median, dots are the extremes.
@@ -185,7 +183,7 @@ def grouped(values: FloatArray) -> list[tuple[float, BoolArray]]:
     return [(float(np.median(values[number == k])), number == k) for k in range(BINS)]
 
 
-def box_pages(prediction: Prediction) -> "Iterator[Figure]":
+def box_pages(prediction: Prediction) -> Iterator[Figure]:
     """Slip ratio, side slip and sinkage against each swept parameter, three parameters to a page; none, no page.
 
     A box holds all wheel states of its members: quartiles and median, whiskers from p05 to p95, circle at the mean.
@@ -203,7 +201,7 @@ def box_pages(prediction: Prediction) -> "Iterator[Figure]":
         yield figure
 
 
-def _draw_boxes(axes: "Axes", prediction: Prediction, parameter: str, quantity: str) -> None:
+def _draw_boxes(axes: Axes, prediction: Prediction, parameter: str, quantity: str) -> None:
     label, factor = LABELS[quantity]
     values = factor * along(prediction, quantity)
     groups = grouped(prediction.parameters[parameter])

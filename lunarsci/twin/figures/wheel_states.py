@@ -21,7 +21,7 @@ WORDS = 60
 """Letters of a finding that are drawn."""
 
 
-def states_page(drive: DriveStates, terrain: Terrain, title: str) -> "Figure":
+def states_page(drive: DriveStates, terrain: Terrain, title: str) -> Figure:
     """Map with wheel tracks, positions and smoothed way above; slip, side slip and sinkage against distance below."""
     figure = page(8.8)
     parts: Any = figure.subfigures(2, 1, height_ratios=[1.0, 1.55])
@@ -38,8 +38,7 @@ def states_page(drive: DriveStates, terrain: Terrain, title: str) -> "Figure":
     return figure
 
 
-def _draw_map(axes: "Axes", drive: DriveStates, terrain: Terrain) -> None:
-
+def _draw_map(axes: Axes, drive: DriveStates, terrain: Terrain) -> None:
     places = drive.held.states[..., :2]
     points = np.vstack([places.reshape(-1, 2), drive.nodes.fix_m])
     draw_ground(axes, terrain, _window(points, terrain), 0.1)
@@ -74,7 +73,7 @@ def _window(points: FloatArray, terrain: Terrain) -> tuple[slice, slice]:
     return slices[0], slices[1]
 
 
-def _draw_states(panel: "Axes", drive: DriveStates, name: str) -> None:
+def _draw_states(panel: Axes, drive: DriveStates, name: str) -> None:
     text, factor = LABELS[name]
     rows = drive.rows
     values, sigmas = factor * getattr(rows, name), factor * getattr(rows, f"{name}_sigma")
@@ -121,7 +120,7 @@ FORCES = ("normal_force_n", "drawbar_pull_n", "lateral_force_n")
 MISSING = ("missing ahead [N]", "missing to the left [N]", "missing moment [N m]")
 
 
-def force_band_figure(loads: LoadEnsemble, title: str, *, synthetic: bool = False) -> "Figure":
+def force_band_figure(loads: LoadEnsemble, title: str, *, synthetic: bool = False) -> Figure:
     """A column of panels for each axle: the three forces of its wheels, and below what is missing of the totals.
 
     Pale bands are one standard deviation after the balance; the dark band in it is what the assumed soil brings of it.
@@ -196,7 +195,7 @@ def force_figure(
     residual_n: FloatArray | None = None,
     *,
     synthetic: bool = False,
-) -> "Figure":
+) -> Figure:
     """Forces, slip and side slip of each wheel.
 
     Parameters

@@ -134,7 +134,6 @@ def unresolved_grain(
     It is as much `rougher` than the law, in the logarithm, as that mean and standard deviation say, alike over 10 m.
     What a wheel meets of it is the mean over a square of its width, `footprint_m`.
     """
-
     random = np.random.default_rng([seed, 31])
     relief, _ = lunar_relief()
     shape = (GRAIN_NODES, GRAIN_NODES)
@@ -371,7 +370,6 @@ def driven_ground(terrain: Terrain, finer: Sequence[Terrain], points_m: FloatArr
 
 def _evenly(covered: npt.NDArray[np.bool_], nodes: float) -> FloatArray:
     """0 at the rim of what is known, 1 so many nodes within it."""
-
     return np.asarray(np.clip((distance_transform_edt(covered) - 1.0) / nodes, 0.0, 1.0))
 
 

@@ -572,7 +572,6 @@ def ground_maps(
     nine tenths of its height at least, and by more than the rise of the slope nothing is overstated. Raises
     ParameterError.
     """
-
     check_range("baseline_m", baseline_m, POSITIVE)
     check_range("wheel_window_m", wheel_window_m, POSITIVE)
     spacing, shape = terrain.spacing_m, terrain.height_m.shape
@@ -667,7 +666,6 @@ def _fill_tile(terrain: Terrain, row: int, column: int, plane: int, wheel: int, 
 
 
 def _plane_maps(height: FloatArray, half: int, spacing: float) -> tuple[FloatArray, FloatArray]:
-
     side = 2 * half + 1
     ramp = np.arange(-half, half + 1, dtype=float)
     spread = float(ramp @ ramp)
@@ -681,7 +679,6 @@ def _plane_maps(height: FloatArray, half: int, spacing: float) -> tuple[FloatArr
 
 def _step(height: FloatArray, plane: int, wheel: int) -> FloatArray:
     """Range of the heights within `wheel` nodes, less the slope of the half footprints about each node."""
-
     ramp = np.where(np.arange(-plane, plane + 1) <= 0, np.arange(-plane, plane + 1) + 0.5 * plane, 0.0)
     ramp /= ramp @ ramp
     gradients = []
@@ -710,7 +707,6 @@ def _ranges(height: Any, along: Any, across: Any, half: int, ranges: Any) -> Non
 
 
 def _near(hole: BoolArray, half: int) -> BoolArray:
-
     return np.asarray(maximum_filter(hole, 2 * half + 1)) if hole.any() else hole
 
 

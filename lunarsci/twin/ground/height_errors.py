@@ -109,7 +109,6 @@ def likely_ground(
     of known ones get the height of these, and for an error what the ground may differ by so far; others stay holes.
     Raises ParameterError where nothing is known of the random errors, all are 0, or hardly any heights are known.
     """
-
     finite = np.isfinite(height_m)
     if not (random_m[finite] > 0).any():
         raise ParameterError("the model states no random error above 0 m")
@@ -249,7 +248,6 @@ def mean_over(width: float, spacing: float, shape: tuple[int, ...]) -> FloatArra
 
 def _everywhere(values: FloatArray, finite: BoolArray) -> FloatArray:
     """Values, and where they are not known that of the next node where they are."""
-
     if finite.all():
         return values
     nearest = distance_transform_edt(~finite, return_distances=False, return_indices=True)
@@ -258,7 +256,6 @@ def _everywhere(values: FloatArray, finite: BoolArray) -> FloatArray:
 
 def _away(finite: BoolArray) -> FloatArray:
     """Distance of nodes from the next known one, in nodes; 0 for these."""
-
     return np.zeros(finite.shape) if finite.all() else np.asarray(distance_transform_edt(~finite))
 
 

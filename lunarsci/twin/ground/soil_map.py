@@ -150,7 +150,6 @@ class SoilMap:
 
     def _nearest(self, place_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Distance to every zone, (n, zones), and its nearest place, (n, zones, 2)."""
-
         by_zone = [(zone.place_m, *cKDTree(zone.place_m).query(place_m)) for zone in self.zones]
         distance = np.column_stack([distance for _, distance, _ in by_zone])
         return distance, np.stack([places[index] for places, _, index in by_zone], axis=1)
@@ -462,7 +461,6 @@ def _zone_draws(soil_map: SoilMap, members: int, random: np.random.Generator) ->
 
 def _together(soil_map: SoilMap) -> FloatArray:
     """Correlation of what the zones do not know, by the gap between their tracks. (z, z)"""
-
     trees = [cKDTree(zone.place_m) for zone in soil_map.zones]
     gap = np.array([[np.min(one.query(other.data)[0]) for other in trees] for one in trees], dtype=np.float64)
     return np.asarray(np.exp(-np.maximum(gap - 2.0 * soil_map.reach_m, 0.0) / soil_map.correlation_m), dtype=np.float64)

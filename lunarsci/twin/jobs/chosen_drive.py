@@ -232,7 +232,6 @@ class ChosenDrive(TerrainSurvey):
         return [_row(one.to_dict()) for one in self.choice.candidates]
 
     def figures(self) -> "Iterator[Figure]":
-
         from lunarsci.twin.figures.choice import candidate_map, front_page
 
         yield candidate_map(self.surface, self.choice)

@@ -85,7 +85,6 @@ class ComparedDrive(Result):
 
     @property
     def untrusted(self) -> str:
-
         reasons, predicted = self.comparison.reasons, str(self.matched.forecast.soil.get("doubt") or "")
         paced, states = self.pace.doubt if self.pace else "", self.matched.record.doubt
         driven = f"another drive than the predicted one: {paced}" if paced else ""
@@ -104,7 +103,6 @@ class ComparedDrive(Result):
         return "doubtful" if doubtful and not self.comparison.reasons else self.comparison.verdict
 
     def to_dict(self) -> dict[str, Any]:
-
         forecast, comparison = self.matched.forecast, self.comparison
         whole, miss = comparison.surprise, miss_of(self.matched)
         return {
@@ -139,7 +137,6 @@ class ComparedDrive(Result):
         return [_band_row(check, self.comparison) for check in self.comparison.bands]
 
     def figures(self) -> "Iterator[Figure]":
-
         from lunarsci.twin.figures.comparison import comparison_figure
 
         title = f"{file_label(str(self.matched.forecast.origin))} beside {file_label(self.states)}"
@@ -154,7 +151,6 @@ def compare(
 
     Raises DataError for files that do not fit together, and for a belief that knows the drive.
     """
-
     asked = request_of(CompareRequest, request, options)
     forecast, inputs = read_forecast(predicted)
     named = short_name(forecast.rover)
@@ -208,7 +204,6 @@ def compare(
 
 def _check_plan(file: InputFile, forecast: Forecast) -> dict[str, str]:
     """Hash of the plan. Legs, start, speed and fixes must be as predicted; limits, sweeps and circles do not count."""
-
     driven, predicted = (
         plan_text(replace(one, name="", limits=(), sweep=(), exclusion_zones=(), made_for=None, accepted_risk=None))
         for one in (read_plan(file), forecast.plan)
@@ -226,7 +221,6 @@ def whole_record(states: StateTable, positions: InputFile | None, rover: Rover) 
     With positions the reader leaves out values that were derived from them. Here these are compared all the same, as
     the bands of slip are of interest, but are not to count twice.
     """
-
     whole = read_record(states, rover)
     if positions is None:
         return whole, None
@@ -242,7 +236,6 @@ def whole_record(states: StateTable, positions: InputFile | None, rover: Rover) 
 
 def _taught(matched: MatchedObservations, belief: InputFile, states: InputFile) -> tuple[SoilBelief, SoilBelief]:
     """The belief of a file before and after it learned from the miss."""
-
     before, forecast = read_belief(belief), matched.forecast
     if forecast.soils != "belief":
         raise DataError(f"{forecast.origin}: predicted on ranges of soils, and teaches nothing of a belief")
@@ -273,7 +266,6 @@ def _end(end: EndCheck) -> dict[str, Any]:
 
 def _band_row(check: BandCheck, comparison: DriveComparison) -> dict[str, Any]:
     """The probabilities are of all wheels together."""
-
     together = check.wheel == ALL
     bias = comparison.bias.quantities.get(check.quantity) if together and comparison.bias else None
     return asdict(check) | {

@@ -74,7 +74,6 @@ class ScoredTrials(Result):
         return f"the measured states of {len(doubtful)} of {len(self.trials)} trials are doubtful, first {doubtful[0]}"
 
     def to_dict(self) -> dict[str, Any]:
-
         kind, name = self.soils
         return {
             "soil": {"of": kind, "name": name},
@@ -87,7 +86,6 @@ class ScoredTrials(Result):
         return [trial.row() for trial in self.trials]
 
     def figures(self) -> "Iterator[Figure]":
-
         from lunarsci.twin.figures.comparison import trials_figure
 
         what = "1 trial" if len(self.trials) == 1 else f"{len(self.trials)} trials"
@@ -109,7 +107,6 @@ def compare_trials(
     slips, side slips and the end that its positions tell; beside it stands the way of the wheels without slip. A trial
     that cannot be used is told, and the others are scored. Raises BatchError where none can.
     """
-
     asked = request_of(TrialsRequest, request, options)
     if given := [name for name in OF_A_PREDICTION if getattr(asked, name) is not None]:
         raise RequestError(f"`{given[0]}` belongs to a prediction made before the drive, not to trials; leave it out")
@@ -145,7 +142,6 @@ def compare_trials(
 
 
 def _soils(given: GivenSoil, asked: TrialsRequest) -> TrialSoils:
-
     if given.soil_map is not None:
         raise RequestError(f"{given.name} as `soil` is a map of one site; give a belief, samples or a soil")
     if given.belief is not None:
@@ -160,7 +156,6 @@ def _soils(given: GivenSoil, asked: TrialsRequest) -> TrialSoils:
 
 def _measured(name: str, asked: TrialsRequest) -> MeasuredStates:
     """Wheel states of a trial; what is found wrong stays with it, as there may be many."""
-
     given = {key: getattr(asked, key) for key in ("rover", "terrain", "height_unit", "gravity", "interpolation")}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LunarSciWarning)
@@ -168,7 +163,6 @@ def _measured(name: str, asked: TrialsRequest) -> MeasuredStates:
 
 
 def _scored(name: str, measured: MeasuredStates, given: GivenSoil, soils: TrialSoils, seed: int) -> TrialScore:
-
     inputs, drive, tables = measured.inputs, measured.drive, measured.tables
     inputs.check.belief(given.name, given.belief)
     motion = read_motion(_file(name, tables["motion.csv"]), inputs.rover)
@@ -184,12 +178,10 @@ def _scored(name: str, measured: MeasuredStates, given: GivenSoil, soils: TrialS
 
 
 def _on_soil(terrain: Terrain, named: str | None) -> Terrain:
-
     return terrain if named is None else replace(terrain, soil=np.array(read_soil(named).vector()).reshape(1, 1, 8))
 
 
 def _file(name: str, table: "pd.DataFrame", begin_s: float = 0.0) -> InputFile:
     """A table with times from some begin on, rows before it left out, as a file."""
-
     later = table[table["time_s"] >= begin_s]
     return InputFile(name, csv_bytes(later.assign(time_s=later["time_s"] - begin_s)))

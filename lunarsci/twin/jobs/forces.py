@@ -48,12 +48,10 @@ class DriveForces(Result):
     @property
     def failed(self) -> list[str]:
         """How drives ended that did not come to the end, each once."""
-
         return outcome_texts(self.prediction.outcome)
 
     @property
     def made_from(self) -> MadeFrom:
-
         inputs, seed = self.soils.inputs, self.soils.drawn_by
         return MadeFrom(inputs=inputs.inputs, tables=inputs.tables, sources=SOURCES, seed=seed, options=inputs.options)
 
@@ -75,11 +73,9 @@ class DriveForces(Result):
 
     def rows(self) -> list[dict[str, Any]]:
         """One a drive, time and wheel."""
-
         return list(state_table(self.prediction).to_dict("records"))  # type: ignore[arg-type]
 
     def figures(self) -> "Iterator[Figure]":
-
         from lunarsci.twin.figures.wheel_states import force_figure
 
         prediction = self.prediction
@@ -100,7 +96,6 @@ def forces(
 
     Raises DataError for what cannot be read, RequestError for options that are impossible.
     """
-
     asked = request_of(DriveRequest, request, options)
     inputs = read_drive_inputs(plan, *asked.ground, soil=asked.soil, fixes=asked.fixes)
     alone = not asked.sweep and asked.members is None and inputs.given.one_soil
@@ -114,7 +109,6 @@ def forces(
 
 def _reached(prediction: Prediction) -> Any:
     """States as far as was driven, NaN beyond."""
-
     return np.where(prediction.reached[..., None, None], prediction.states, np.nan)
 
 

@@ -79,12 +79,10 @@ class BeliefHistory(Result):
 
     @property
     def untrusted(self) -> str:
-
         both = ((self.source, self.belief), (self.other_source, self.other))
         return "; ".join(text for file, belief in both if file and (text := doubt_of(file.name, belief)))
 
     def to_dict(self) -> dict[str, Any]:
-
         back = self.rolled_back
         return {
             "drives": self.drives,
@@ -99,7 +97,6 @@ class BeliefHistory(Result):
 
     def rows(self) -> list[dict[str, Any]]:
         """One for each number of drives and parameter, from the priors on."""
-
         first: dict[str, Any] = dict.fromkeys(("states", "plan", "refused", "moved_sd"))
         first |= {"drive": 0, "parameters": parameter_rows(rolled_back(self.belief, 0))}
         rows = []
@@ -112,7 +109,6 @@ class BeliefHistory(Result):
         return rows
 
     def figures(self) -> "Iterator[Figure]":
-
         from lunarsci.regolith.figure import belief_figure, belief_history_figure
 
         names = (file_label(self.source.name), file_label(self.other_source.name) if self.other_source else "")
@@ -126,7 +122,6 @@ def history(belief: Source, request: HistoryRequest | None = None, **options: An
 
     Raises DataError for files that hold no belief, and for more drives than it rests on.
     """
-
     asked = request_of(HistoryRequest, request, options)
     source = read_input(belief)
     other = None if asked.against is None else read_input(asked.against)
@@ -147,7 +142,6 @@ def history(belief: Source, request: HistoryRequest | None = None, **options: An
 
 
 def _drives(belief: SoilBelief) -> list[dict[str, Any]]:
-
     steps = zip(belief.history, moved_sd(belief), past_beliefs(belief)[1:], strict=True)
     return [
         {"drive": number}

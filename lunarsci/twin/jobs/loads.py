@@ -64,7 +64,6 @@ class MotionLoads(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-
         inputs = self.inputs
         return MadeFrom(inputs=inputs.inputs, tables=inputs.tables, sources=SOURCES, options=inputs.options)
 
@@ -84,17 +83,14 @@ class MotionLoads(Result):
         return _missing(self.forces) if self.wheels else None
 
     def to_dict(self) -> dict[str, Any]:
-
         result = {"of": "motion", "members": 1, "missing": self.missing, "soil": self.inputs.soil_record()}
         return load_record(self.inputs, self.wheels) | result
 
     def rows(self) -> list[dict[str, Any]]:
         """One a pose and wheel."""
-
         return list(held_table(self.forces).to_dict("records"))  # type: ignore[arg-type]
 
     def figures(self) -> "Iterator[Figure]":
-
         from lunarsci.twin.figures.wheel_states import force_figure
 
         result, title = self.forces, self.title.replace(name := self.motion.name, Path(name).name)
@@ -103,7 +99,6 @@ class MotionLoads(Result):
 
 
 def _missing(result: PrescribedLoads) -> dict[str, float]:
-
     finite = result.outcome == FINISHED
     ahead, left = result.residual_n[finite].mean(axis=0)
     return {
@@ -142,7 +137,6 @@ class UncertainLoads(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-
         inputs = self.inputs
         tables = inputs.tables | ({} if "belief" in self.given else prior_hash())
         sources = [*SOURCES, *METHODS]
@@ -176,7 +170,6 @@ class UncertainLoads(Result):
         return replace(belief, history=(*belief.history, entry))
 
     def to_dict(self) -> dict[str, Any]:
-
         inputs, result, belief = self.inputs, self.forces, self.given.get("belief")
         driven = DrivenSoil("priors", "priors") if belief is None else DrivenSoil(belief.name, "belief")
         uncertain = result.held.motion.sigmas is not None
@@ -196,16 +189,13 @@ class UncertainLoads(Result):
 
     def rows(self) -> list[dict[str, Any]]:
         """One a measured state, or a pose and wheel."""
-
         return list(force_table(self.forces, self.states).to_dict("records"))  # type: ignore[arg-type]
 
     def files(self) -> dict[str, Callable[[], bytes]]:
         """`forces.csv`, an input of `identify`: name to what makes the content."""
-
         return {"forces.csv": lambda: csv_bytes(force_table(self.forces, self.states))}
 
     def figures(self) -> "Iterator[Figure]":
-
         from lunarsci.twin.figures.wheel_states import force_band_figure
 
         title = self.title.replace(motion := self.given["motion"].name, Path(motion).name)
@@ -225,7 +215,6 @@ def loads(
 
     Raises DataError for what cannot be read, RequestError for options that are impossible.
     """
-
     asked = request_of(LoadsRequest, request, options)
     inputs = read_drive_inputs(plan, *asked.ground, soil=asked.soil, soil_counts=not asked.uncertain)
     if not inputs.given.one_soil:
@@ -250,7 +239,6 @@ def _uncertain(
     asked: LoadsRequest,
     progress: Callable[[int, int], None] | None,
 ) -> UncertainLoads:
-
     if asked.correlation is not None and motion.sigmas is None:
         raise RequestError("`correlation` is of the motion's errors, and it has none; add x_m_sigma and others")
     states = read_pose_states(files["states"], inputs.rover) if "states" in files else None
@@ -283,7 +271,6 @@ def _uncertain(
 
 def _shares(result: LoadEnsemble) -> dict[str, Any]:
     """Where the variance of each force comes from, before and after the balance."""
-
     both = {"before": False, "after": True}
     return {
         name: {when: asdict(result.shares(k, balanced=balanced)) for when, balanced in both.items()}
@@ -292,7 +279,6 @@ def _shares(result: LoadEnsemble) -> dict[str, Any]:
 
 
 def _wheels(result: LoadEnsemble) -> list[dict[str, Any]]:
-
     finite = result.with_forces
     if not finite.any():
         return []
@@ -312,7 +298,6 @@ def _wheels(result: LoadEnsemble) -> list[dict[str, Any]]:
 
 
 def _totals(result: LoadEnsemble) -> dict[str, dict[str, float]]:
-
     finite = result.with_forces
     return {
         name: {

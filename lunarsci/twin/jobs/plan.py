@@ -146,7 +146,6 @@ class PlannedMission(TerrainSurvey):
         return rows
 
     def figures(self) -> "Iterator[Figure]":
-
         from lunarsci.twin.figures.choice import mission_map, timetable
 
         yield mission_map(self.surface, self.driven)
@@ -337,7 +336,6 @@ def check_targets(mission: Mission, surface: Traversability) -> None:
 
 def beyond(target: MissionTarget, surface: Traversability, rover: Rover) -> tuple[float, float] | None:
     """The place with room for the rover that is nearest to a target on unknown ground; None where it is known."""
-
     terrain, unknown = surface.terrain, surface.unknown
     row, column = terrain.nodes(np.array([target.x_m, target.y_m]))
     if not unknown[row, column]:
@@ -391,7 +389,6 @@ def _path(
     asked: PlanRequest, site: SurveyedSite, surface: Traversability, finer: tuple[Traversability, ...],
     progress: Progress | None,
 ) -> PlannedPath:  # fmt: skip
-
     (x0, y0, heading), (x, y, *_) = places_of(asked)
     path = way_to(
         surface,

@@ -29,7 +29,7 @@ def places_of(request: PlanRequest) -> tuple[tuple[float, ...], tuple[float, ...
     return start, _numbers("target", request.target, (2, 3))
 
 
-def on_terrain(request: PlanRequest, terrain: Terrain) -> "PlanRequest":
+def on_terrain(request: PlanRequest, terrain: Terrain) -> PlanRequest:
     """The same with start and target in m of a terrain. Raises DataError where it has no coordinate system."""
     if not request.lonlat:
         return request
@@ -42,7 +42,6 @@ def on_terrain(request: PlanRequest, terrain: Terrain) -> "PlanRequest":
 
 def planned_power(request: PlanRequest) -> PowerState | None:
     """Battery and light; None where no charge is given. Raises RequestError."""
-
     sun = light_of(request)[0]
     if request.charge is None:
         return None
@@ -54,7 +53,6 @@ def limits_at(site: SurveyedSite, asked: PlanRequest) -> tuple[Limit, ...]:
 
     Raises DataError for a file without limits, RequestError where two places say how far from the target is there.
     """
-
     assumed = limits_of_rover(read_plan().limits, site.rover)
     if asked.limits is None:
         return assumed
@@ -74,7 +72,6 @@ def check_start(asked: PlanRequest, site: SurveyedSite) -> None:
 
     Raises RequestError where no ground is named and it was on another than the stand-in.
     """
-
     for path in asked.start_files:
         table = read_csv_table(path)
         site.check.ground(path, written_in(path, table, GROUND))
@@ -87,7 +84,6 @@ def last_pose(path: str) -> tuple[float, float, float]:
 
     Raises DataError for what has no x_m, y_m and yaw_deg.
     """
-
     table = read_csv_table(path)
     for name in ("time_s", "x_m", "y_m", "yaw_deg"):
         if name not in table:

@@ -47,7 +47,6 @@ CORRELATED = ("belief", "samples")
 
 def power_of(request: PoweredRequest) -> PowerState | None:
     """Battery and light; None where neither is given. Raises RequestError."""
-
     if request.sun is None and request.charge is None:
         return None
     try:
@@ -93,7 +92,6 @@ class PredictedDrives(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-
         inputs = self.inputs
         options = inputs.options | {"seed": self.prediction.seed}
         seed = self.soils.drawn_by
@@ -106,7 +104,6 @@ class PredictedDrives(Result):
         return "; ".join(part for part in (*parts, self.soils.doubt) if part)
 
     def to_dict(self) -> dict[str, Any]:
-
         prediction, fitted, before = self.prediction, self.soils.verdict, self.inputs.before
         swept = prediction.parameters.items()
         return {
@@ -147,7 +144,6 @@ class PredictedDrives(Result):
         return [asdict(limit) for limit in self.verdict.limits]
 
     def figures(self) -> "Iterator[Figure]":
-
         from lunarsci.twin.figures.prediction import box_pages, path_fan, profile_page
 
         yield path_fan(self.prediction, self.verdict)
@@ -156,14 +152,12 @@ class PredictedDrives(Result):
 
     def film(self, target: Path, progress: Progress | None = None) -> bytes:
         """The drive as a film, in the format of the target's suffix: .gif, or .mp4 where ffmpeg is installed."""
-
         from lunarsci.twin.figures.animation import animate
 
         return animate(self.prediction, self.verdict, target, progress=progress)
 
     def files(self) -> dict[str, Callable[[], bytes]]:
         """The tables of all drives, and what `compare` reads after the drive: name to what makes the content."""
-
         prediction, rover = self.prediction, sha256(self.inputs.description.text.encode())
         tables = {
             "states.csv": cache(lambda: csv_bytes(judged.state_table(prediction))),
@@ -192,7 +186,6 @@ def predict(
 
     Raises DataError for what cannot be read, RequestError for options that are impossible.
     """
-
     asked = request_of(PredictRequest, request, options)
     inputs = read_drive_inputs(
         plan,
@@ -227,7 +220,6 @@ def _asked_about(result: PredictedDrives, questions: tuple[Question, ...]) -> Pr
 
 def _rough(inputs: DriveInputs, seed: int) -> tuple[DriveInputs, Unresolved | None]:
     """With ground drawn between the nodes of a terrain that is too coarse for the rover's wheels."""
-
     if inputs.terrain.errors is not None:
         return inputs, None
     rover, step = inputs.rover, read_mobility(inputs.description, inputs.rover).max_step_m

@@ -37,7 +37,6 @@ class MadeUpDrive(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-
         inputs = self.inputs
         options, seed = inputs.options, self.drive.seed
         return MadeFrom(inputs=inputs.inputs, tables=inputs.tables, sources=SOURCES, seed=seed, options=options)
@@ -87,7 +86,6 @@ class MadeUpDrive(Result):
 
     def files(self) -> dict[str, Callable[[], bytes]]:
         """Telemetry, track and truth, each marked as made up: name to what makes the content."""
-
         return {
             "telemetry.csv": lambda: _marked(self.drive.telemetry),
             "track.csv": lambda: _marked(self.drive.track),
@@ -106,7 +104,6 @@ def simulate_drive(
 
     Raises DataError for what cannot be read, RequestError for options that are impossible.
     """
-
     asked = request_of(SimulateDriveRequest, request, options)
     errors = SensorErrors(
         fix_distance_m=asked.fix_distance,
@@ -135,5 +132,4 @@ def simulate_drive(
 
 
 def _marked(table: "pd.DataFrame") -> bytes:
-
     return REMARK + csv_bytes(table)

@@ -55,7 +55,6 @@ class MeasuredStates(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-
         inputs = self.inputs
         return MadeFrom(
             inputs=inputs.inputs, tables=inputs.tables, sources=[*SOURCES, SMOOTHER], options=inputs.options
@@ -72,7 +71,6 @@ class MeasuredStates(Result):
         return f"Wheel states from {self.name}{mark}, on {self.inputs.terrain.name}"
 
     def to_dict(self) -> dict[str, Any]:
-
         drive, rows = self.drive, self.drive.rows
         return self.inputs.about() | {
             "synthetic": drive.telemetry.synthetic,
@@ -99,7 +97,6 @@ class MeasuredStates(Result):
     @cached_property
     def tables(self) -> dict[str, Any]:
         """States, positions and motion, which `update` and `loads` take: name of the file to table."""
-
         makers = {"states.csv": wheel_table, "positions.csv": position_table, "motion.csv": motion_table}
         return {name: make(self.drive) for name, make in makers.items()}
 
@@ -109,11 +106,9 @@ class MeasuredStates(Result):
 
     def files(self) -> dict[str, Callable[[], bytes]]:
         """The tables as CSV: name to what makes the content."""
-
         return {name: lambda table=table: csv_bytes(table) for name, table in self.tables.items()}  # type: ignore[misc]
 
     def figures(self) -> "Iterator[Figure]":
-
         from lunarsci.twin.figures.wheel_states import states_page
 
         yield states_page(self.drive, self.inputs.terrain, self.title.replace(self.name, file_label(self.name)))
@@ -128,7 +123,6 @@ def states(
     A folder or table of a public data set (`lunarsci.twin.drives.layouts`) has its own rover, gravity and, where no
     terrain is given, a plane by its heights and attitude. Raises DataError for telemetry that cannot be used.
     """
-
     asked = request_of(StatesRequest, request, options)
     public, below = read_public_drive(telemetry), None
     if public is not None:
@@ -158,7 +152,6 @@ def states(
 
 
 def _read_track(inputs: DriveInputs, track: Any) -> RutPoints | Terrain:
-
     source = read_input(track)
     inputs.inputs[source.name] = source.sha256
     if is_table_of_ruts(source):
@@ -169,7 +162,6 @@ def _read_track(inputs: DriveInputs, track: Any) -> RutPoints | Terrain:
 
 def _changes(drive: DriveStates) -> dict[str, Any]:
     """How fast the deviations change that slopes do not explain; no information where the data tell nothing of it."""
-
     change = drive.smoothed.change
     columns = (change.usual, np.exp(change.spread), change.usual_length_m, change.information)
     keys = ("amplitude", "amplitude_factor", "length_m", "information_nat")
@@ -182,7 +174,6 @@ def _changes(drive: DriveStates) -> dict[str, Any]:
 
 def _slope_effects(drive: DriveStates) -> dict[str, Any]:
     """Slip and side slip, as a tangent, for slopes of 45 degrees along and across, were they proportional."""
-
     state, covariance = drive.smoothed.state[-1], drive.smoothed.covariance[-1]
     return {
         name: {"value": float(state[k]), "sigma": float(np.sqrt(covariance[k, k]))}
@@ -192,7 +183,6 @@ def _slope_effects(drive: DriveStates) -> dict[str, Any]:
 
 def _of_wheel(drive: DriveStates, k: int) -> dict[str, Any]:
     """Medians over the measured states of a wheel, of the values and of their errors."""
-
     record: dict[str, Any] = {name: int(getattr(drive.rows, name)[:, k].sum()) for name in ("measured", "valid")}
     for name in MEASURED:
         value, sigma = (getattr(drive.rows, column)[:, k] for column in (name, f"{name}_sigma"))

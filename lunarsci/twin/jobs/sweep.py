@@ -60,7 +60,6 @@ class DesignTrade(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-
         inputs = {name: digest for soils in self.soils for name, digest in soils.inputs.inputs.items()}
         first, seed = self.inputs, self.soils[0].seed
         sources = list(dict.fromkeys([*SOURCES, PAPER]))
@@ -89,7 +88,6 @@ class DesignTrade(Result):
         ]
 
     def figures(self) -> "Iterator[Figure]":
-
         from lunarsci.twin.figures.choice import curve_page, design_front_page
 
         synthetic = any(soils.inputs.terrain.synthetic for soils in self.soils)
@@ -113,7 +111,6 @@ def sweep(
     Raises DataError for what cannot be read, RequestError for options that are impossible, and for numbers that no
     drive depends on.
     """
-
     asked = request_of(SweepRequest, request, options)
     soils = _mission(plans, asked)
     inputs = [one.inputs for one in soils]
@@ -139,7 +136,6 @@ def sweep(
 
 
 def _driver(soils: Sequence[Soils], asked: SweepRequest) -> Callable[[int, dict[str, Any]], Prediction]:
-
     members, power = [one.of_members() for one in soils], power_of(asked)
 
     def drive(number: int, changes: dict[str, Any]) -> Prediction:
@@ -153,7 +149,6 @@ def _driver(soils: Sequence[Soils], asked: SweepRequest) -> Callable[[int, dict[
 
 def _mission(plans: Any, asked: SweepRequest) -> tuple[Soils, ...]:
     """The soils of each plan, as many and the same on all of them. Raises RequestError where plans have others."""
-
     several = list(plans) if isinstance(plans, list | tuple) else [plans]
     soils = []
     for plan in several or [None]:

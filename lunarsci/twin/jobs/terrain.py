@@ -61,7 +61,6 @@ UNSEEN = "rocks and edges smaller than two spacings of the grid are not in it"
 
 def light_of(request: GroundRequest) -> tuple[tuple[float, float] | None, float | None]:
     """Direction of the Sun [deg, deg] and the factor on the cost of a metre in shadow. Raises RequestError."""
-
     if request.sun is None:
         if request.shadow_cost is not None:
             raise RequestError("`shadow_cost` needs the Sun; give `sun` AZIMUTH,ELEVATION, too")
@@ -78,7 +77,6 @@ def light_of(request: GroundRequest) -> tuple[tuple[float, float] | None, float 
 
 def costs_of(request: GroundRequest) -> dict[float, float]:
     """Costs by class of ground. Raises RequestError."""
-
     if request.classes and not request.layer:
         raise RequestError("classes are those of a layer; give `layer`, too")
     try:
@@ -110,12 +108,10 @@ class SurveyedSite:
     @property
     def made_for(self) -> MadeFor:
         """The rover and the limits, for what is written."""
-
         return made_for(self.description, {name: getattr(self.mobility, name) for name in LIMITS})
 
     def surface(self, baseline_m: float | None, progress: Progress | None) -> Traversability:
         """The maps, compared with the limits."""
-
         baseline, wheel = map_scales(self.rover)
         maps = ground_maps(self.terrain, baseline if baseline_m is None else baseline_m, wheel, progress)
         if self.sun_deg is None:
@@ -127,13 +123,11 @@ class SurveyedSite:
 
     def content(self) -> bytes:
         """The terrain with the heights and errors of its file, and the soil and the rover that it was looked at for."""
-
         as_read = replace(self.terrain, height_m=self.file.terrain.height_m)
         return terrain_bytes(as_read, made_for=self.made_for, errors=self.file.errors)
 
     def about(self) -> dict[str, Any]:
         """Terrain, rover, soil and limits, for a result."""
-
         return {
             "terrain": self.terrain.summary(),
             **self.check.how_read,
@@ -183,7 +177,6 @@ class TerrainSurvey(Result):
 
     def _path_record(self, path: PlannedPath) -> dict[str, Any]:
         """The path, its ends also by longitude and latitude where the terrain has a coordinate system."""
-
         record = path.to_dict() | ({"checked": list(self.checked)} if self.checked else {})
         for end in ("start", "target", "end"):
             record[end] |= lonlat_of(self.site.terrain.crs, (record[end]["x_m"], record[end]["y_m"]))
@@ -208,14 +201,12 @@ class TerrainSurvey(Result):
         return [{"quantity": name, **values} for name, values in self.surface.maps.spreads().items()]
 
     def figures(self) -> "Iterator[Figure]":
-
         from lunarsci.twin.figures.maps import terrain_maps
 
         yield terrain_maps(self.surface, self.path)
 
     def files(self, *, geotiff: bool = False) -> dict[str, Callable[[], bytes]]:
         """Terrain, maps, and a path as plan and table: name to what makes the content."""
-
         site, path = self.site, self.path
         contents: dict[str, Callable[[], bytes]] = {
             "terrain.npz": site.content,
@@ -231,7 +222,6 @@ class TerrainSurvey(Result):
 
     def notes(self) -> list[str]:
         """What there is to say about terrain, limits and grid."""
-
         site, maps = self.site, self.surface.maps
         notes = [UNSEEN, *site.check.read_as, *site.check.remarks]
         if site.terrain.synthetic:
@@ -274,7 +264,6 @@ def read_site(
     named: str | None, asked: GroundRequest, soil: str | None, limits: Mapping[str, float | None], onto: str = ""
 ) -> SurveyedSite:
     """Read or make the terrain (`synthetic-longji` if None), a raster in the system `onto`, with soil and limits."""
-
     terrain, name = named or SYNTHETIC, soil or DEFAULT_SOIL
     description, made = read_rover(asked.rover or DEFAULT_ROVER), asked.made(terrain)
     built, named_soil = on_gravity(build_rover(description), asked.gravity), read_soil(name)

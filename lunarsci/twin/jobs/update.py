@@ -51,7 +51,6 @@ class Before:
     @classmethod
     def read(cls, asked: UpdateRequest, inputs: DriveInputs) -> "Before":
         """Read a belief or a map. Raises DataError, RequestError for options that do not fit what it is."""
-
         file = None if asked.soil in (None, PRIORS) else read_input(asked.soil)
         of_map = file is not None and SCHEMA.encode() in file.data
         if file is not None and not of_map and asked.by_place:
@@ -119,7 +118,6 @@ class LearnedSoil(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-
         inputs = self.inputs
         tables, sources = inputs.tables | prior_hash(), [*SOURCES, SAMPLER]
         return MadeFrom(inputs=inputs.inputs, tables=tables, sources=sources, seed=self.seed, options=inputs.options)
@@ -151,7 +149,6 @@ class LearnedSoil(Result):
         return list(dict.fromkeys(text for text in texts if text))
 
     def to_dict(self) -> dict[str, Any]:
-
         learned, soil_map = self.update, self.soil_map
         return {
             "parameters": parameter_rows(learned.belief),
@@ -185,7 +182,6 @@ class LearnedSoil(Result):
 
     def _soil_record(self) -> dict[str, Any]:
         """Where the soils come from that the drive was tried on."""
-
         driven, before = DrivenSoil("priors", "priors"), self.before
         if before.file is not None:
             driven = DrivenSoil(before.file.name, "belief" if before.soil_map is None else "map")
@@ -193,11 +189,9 @@ class LearnedSoil(Result):
 
     def rows(self) -> list[dict[str, Any]]:
         """One a parameter."""
-
         return [{"parameter": name} | row for name, row in parameter_rows(self.belief).items()]
 
     def figures(self) -> "Iterator[Figure]":
-
         from lunarsci.regolith.figure import belief_figure
         from lunarsci.twin.figures.maps import residual_page, soil_pages
 
@@ -209,12 +203,10 @@ class LearnedSoil(Result):
 
     def map_bytes(self) -> bytes:
         """The soil map after the drive, as JSON. Raises RequestError where the soil is not kept by place."""
-
         return soil_map_bytes(self._map())
 
     def terrain_bytes(self) -> bytes:
         """The terrain with the map's median soil at every node, as .npz. Raises RequestError as `map_bytes`."""
-
         layers = soil_layers(self._map(), self.inputs.terrain)
         return terrain_bytes(layers.terrain, sd_ratio=layers.sd_ratio)
 
@@ -236,7 +228,6 @@ def update(
 
     Raises DataError for files that cannot be used and a drive that counted before, RequestError for impossible options.
     """
-
     asked = request_of(UpdateRequest, request, options)
     if asked.correlation is not None and asked.soil is None and not asked.by_place:
         raise RequestError(NO_MAP)
@@ -317,7 +308,6 @@ def _with_history(
     learned: SoilUpdate, before: Before, drive: _DrivenLine, forget: float, *, scored: bool
 ) -> SoilUpdate:
     """The belief with the drive in its history; its discrepancy says that it rests on the drive's end, if `scored`."""
-
     belief, law, states = learned.belief, learned.belief.discrepancy, drive.states
     if scored and not learned.refused and not law.has_scored(states.sha256):
         line = {
@@ -334,7 +324,6 @@ def _with_history(
 
 
 def _zone(segment: Segment, drive: _DrivenLine) -> Zone:
-
     lean = (segment.slip.doubt,) if segment.slip else ()
     line = dict(replace(drive, doubts=(*drive.doubts, *lean)).of(segment.update)) if segment.update else {}
     line |= {"from_m": round(segment.from_m, 3), "to_m": round(segment.to_m, 3)}

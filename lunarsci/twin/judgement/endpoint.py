@@ -134,7 +134,6 @@ def covering_circle(points_m: FloatArray) -> tuple[float, float, float]:
 
 
 def _hull(points: FloatArray) -> FloatArray:
-
     distinct = np.unique(points, axis=0)
     try:
         return np.asarray(distinct[ConvexHull(distinct).vertices]) if len(distinct) > 3 else distinct

@@ -61,7 +61,6 @@ class Chance:
         return self._quantile(CONFIDENCE) if self.failed < self.drives else 1.0
 
     def _quantile(self, share: float) -> float:
-
         return float(betaincinv(self.failed + 0.5, self.drives - self.failed + 0.5, share))
 
     def to_dict(self) -> dict[str, float]:

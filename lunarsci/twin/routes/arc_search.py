@@ -51,7 +51,6 @@ def search_ground(surface: Traversability, points_m: FloatArray, margin_m: float
 
     Obstacles are nodes whose height is unknown or where a limit is exceeded; beyond the edge of the map all is unknown.
     """
-
     terrain = surface.terrain
     rows, columns = terrain.window(points_m, margin_m)
     blocked = surface.hazard[rows, columns] | np.isnan(terrain.height_m[rows, columns])

@@ -45,7 +45,6 @@ def obstacle_places(problem: ArcProblem) -> FloatArray:
     Obstacles are parts of the ground, apart from each other, from which the centre of the rover must keep away. Those
     at the frame of what is looked at have one side only.
     """
-
     window = problem.window
     distance = window.values[..., 0]
     parts, count = label(distance < problem.need_m, structure=np.ones((3, 3)))

@@ -207,7 +207,6 @@ class Grounds(Protocol):
 
     @property
     def parameters(self) -> Mapping[str, FloatArray]: ...
-
     def __len__(self) -> int: ...
 
     def terrain(self, member: int) -> Terrain:

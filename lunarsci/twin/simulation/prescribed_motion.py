@@ -159,7 +159,6 @@ def _place(scene: tuple[Any, Any, Any, Any], motion: Motion, lanes: IntArray, wo
 
 def _velocities(time_s: FloatArray, poses: FloatArray) -> FloatArray:
     """Generalised velocities by differences of the poses, NaN beside poses that are. (n, 9)"""
-
     given: Any = np.isfinite(poses).all(axis=1)
     turned = Rotation.from_quat(np.where(given[:, None], poses[:, [4, 5, 6, 3]], [0.0, 0.0, 0.0, 1.0]))
     steps = np.diff(time_s)[:, None]

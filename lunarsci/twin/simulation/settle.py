@@ -60,7 +60,6 @@ def place(rover: Any, tyre: Any, grid: Any, override: Any, start: FloatArray, wo
 
     `start` (GROUP, 3) is x, y, heading. Done once for a drive, and so not compiled.
     """
-
     side = np.where(np.arange(len(rover.arms)) % 2 == 0, 1.0, -1.0)
     x = rover.arms[:, 0] + rover.hung * rover.bogie[0]
     y = rover.arms[:, 1] + side * (rover.pivot_y + rover.hung * rover.bogie[1])

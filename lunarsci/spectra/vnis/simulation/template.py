@@ -410,7 +410,6 @@ def _site(scene: Scene) -> dict[str, float]:
 
 def simulation_page(simulation: Simulation) -> "Figure":
     """Image at 750 nm on the left, reflectance of soil, rock and the lit footprint on the right."""
-
     figure = page(3.7)
     image, spectrum = figure.subplots(1, 2)
     frame = simulation.source.frame
