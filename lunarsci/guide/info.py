@@ -185,8 +185,7 @@ def _craters(file: InputFile) -> Mapping[str, Any]:
 
 
 def _plan(file: InputFile) -> Mapping[str, Any]:
-    from lunarsci.twin.plans.made_for_check import LIMITS_RULE
-    from lunarsci.twin.plans.plan import read_plan
+    from lunarsci.twin.plans.plan import LIMITS_RULE, read_plan
 
     plan = read_plan(file)
     return {

@@ -140,8 +140,7 @@ def _rover(name: str = "yutu2") -> str:
 
 
 def _plan() -> str:
-    from lunarsci.twin.plans.made_for_check import LIMITS_RULE
-    from lunarsci.twin.plans.plan import Fixes, Leg, Plan, read_plan
+    from lunarsci.twin.plans.plan import LIMITS_RULE, Fixes, Leg, Plan, read_plan
 
     texts, embedded = described(Plan), read_plan()
     leg = described(Leg)

@@ -1,5 +1,7 @@
 """Grounds and drives that several tests share."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -46,3 +48,28 @@ def driven(yutu2: Rover, slope, straight) -> Prediction:  # type: ignore[no-unty
     """20 soils on 1 m of level ground, 11 samples; tests replace what they need to know exactly."""
     sweep = (parse_sweep("friction_angle_deg=30:49:20"),)
     return predict(yutu2, slope(), straight(1.0), sweep=sweep)
+
+
+@pytest.fixture(scope="session")
+def lopsided_lengths() -> dict[str, dict[str, Any]]:
+    """By where the bogie is, lengths that break every symmetry that could hide a mistake."""
+    return {
+        "rear": {
+            "front_wheel_m": (0.52, 0.04, -0.11),
+            "bogie_pivot_m": (-0.27, 0.02, -0.03),
+            "middle_wheel_m": (0.24, 0.01, -0.09),
+            "rear_wheel_m": (-0.29, 0.03, -0.07),
+        },
+        "front": {
+            "front_wheel_m": (0.27, 0.03, -0.07),
+            "bogie_pivot_m": (0.26, 0.02, -0.03),
+            "middle_wheel_m": (-0.22, 0.01, -0.09),
+            "rear_wheel_m": (-0.51, 0.04, -0.11),
+        },
+        "none": {
+            "front_wheel_m": (0.52, 0.04, -0.11),
+            "bogie_pivot_m": None,
+            "middle_wheel_m": None,
+            "rear_wheel_m": (-0.41, 0.03, -0.12),
+        },
+    }

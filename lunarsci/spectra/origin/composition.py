@@ -268,8 +268,10 @@ def _from_bands(record: Mapping[str, Any], name: str) -> Rock | None:
 
 
 def _combined(record: Mapping[str, Any], keys: Iterable[str], what: str) -> float:
-    sigma = math.hypot(*(float(record[key]) for key in keys if record.get(key) is not None))
-    check_ranges((f"error of {what}", sigma, ABOVE_0, sys.float_info.max, ""))
+    parts = [float(record[key]) for key in keys if record.get(key) is not None]
+    sigma = math.hypot(*parts)
+    for value, least in (*((part, 0.0) for part in parts), (sigma, ABOVE_0)):
+        check_ranges((f"error of {what}", value, least, sys.float_info.max, ""))
     return sigma
 
 

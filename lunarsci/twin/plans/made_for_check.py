@@ -28,10 +28,6 @@ from lunarsci.twin.rover import Rover
 if TYPE_CHECKING:
     import pandas as pd
 
-LIMITS_RULE = "sinkage a third of its wheel radius, tilt its max_slope_deg, the others as in the embedded plan"
-"""What a plan without [limits] is judged by."""
-
-
 OF_THE_ROVER = ("sinkage_m", "tilt_deg")
 """Limits that follow from the rover's size and file."""
 EMBEDDED = "the embedded plan"

@@ -80,6 +80,10 @@ def _embedded_plan() -> str:
     return (files(__package__) / "plan.toml").read_text("utf-8")
 
 
+LIMITS_RULE = "sinkage a third of its wheel radius, tilt its max_slope_deg, the others as in the embedded plan"
+"""What a plan without [limits] is judged by."""
+
+
 def rover_limits(rover: Rover) -> tuple[Limit, ...]:
     """What is safe of a rover where a plan does not say: slip, side slip, sinkage, tilt and clearance.
 

@@ -15,7 +15,15 @@ import pytest
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.io.inputs import InputFile
-from lunarsci.regolith.belief import contact_rows, first_belief, parameter_rows, past_beliefs, read_belief, with_drive
+from lunarsci.regolith.belief import (
+    SoilBelief,
+    contact_rows,
+    first_belief,
+    parameter_rows,
+    past_beliefs,
+    read_belief,
+    with_drive,
+)
 from lunarsci.regolith.physics_discrepancy import FIRST
 from lunarsci.regolith.prior import PARAMETERS, ROLLING
 from lunarsci.regolith.soil import Soil
@@ -412,15 +420,11 @@ def test_slip_on_the_soil_found_is_what_a_prediction_of_the_same_plan_gives(
     assert lean.spread == pytest.approx(slips.std(ddof=1), rel=0.5)
 
 
-def test_slip_is_of_the_soils_believed_and_not_of_the_best_one(yutu2: Rover) -> None:
-    """Where these are others, as a population can be, predictions are theirs."""
-    out, soft = drive(yutu2, sloping(0.0)), drive(yutu2, sloping(0.0), friction_angle_deg=26.0)
-    belief = first_belief()
-    mean = np.array([law.transformed(np.array(SOIL[name])) for name, law in belief.laws.items()])
-    believed = dataclasses.replace(belief, mean=mean, covariance=1e-6 * belief.covariance)
-    found = SoilUpdate(
-        belief=believed,
-        prediction=soft,
+def update_without_values(belief: SoilBelief, prediction: Prediction) -> SoilUpdate:
+    """What an update says of the soil alone."""
+    return SoilUpdate(
+        belief=belief,
+        prediction=prediction,
         residuals=np.zeros((0, 6)),
         outliers=np.zeros((0, 6), dtype=bool),
         inflation={},
@@ -431,6 +435,15 @@ def test_slip_is_of_the_soils_believed_and_not_of_the_best_one(yutu2: Rover) -> 
         autocorrelation=0.0,
         refused="",
     )
+
+
+def test_slip_is_of_the_soils_believed_and_not_of_the_best_one(yutu2: Rover) -> None:
+    """Where these are others, as a population can be, predictions are theirs."""
+    out, soft = drive(yutu2, sloping(0.0)), drive(yutu2, sloping(0.0), friction_angle_deg=26.0)
+    belief = first_belief()
+    mean = np.array([law.transformed(np.array(SOIL[name])) for name, law in belief.laws.items()])
+    believed = dataclasses.replace(belief, mean=mean, covariance=1e-6 * belief.covariance)
+    found = update_without_values(believed, soft)
     lean = SlipLean.of(seen(soft), found)
     assert lean is not None and median_slip(soft)[0] > median_slip(out)[0] + 0.05
     assert lean.simulated == pytest.approx(median_slip(out)[0], abs=0.005)
@@ -440,18 +453,8 @@ def test_slip_is_of_the_soils_believed_and_not_of_the_best_one(yutu2: Rover) -> 
 def test_parameters_that_no_prior_has_are_doubted(yutu2: Rover) -> None:
     belief = first_belief().opened(yutu2.wheel)
     far = belief.mean + np.where(np.array(belief.names) == "max_stress_c1", 3.5 * 0.12, 0.0)
-    found = SoilUpdate(
-        belief=dataclasses.replace(belief, mean=far, covariance=0.01 * belief.covariance),
-        prediction=drive(yutu2, sloping(0.0)),
-        residuals=np.zeros((0, 6)),
-        outliers=np.zeros((0, 6), dtype=bool),
-        inflation={},
-        wheel_errors={},
-        chi_square=0.0,
-        values=0,
-        prior_shift=0.0,
-        autocorrelation=0.0,
-        refused="",
+    found = update_without_values(
+        dataclasses.replace(belief, mean=far, covariance=0.01 * belief.covariance), drive(yutu2, sloping(0.0))
     )
     assert found.doubt.startswith("max_stress_c1 is 0.92, 3.5 standard deviations of its prior from 0.5")
     near = dataclasses.replace(found, belief=dataclasses.replace(belief, mean=far))

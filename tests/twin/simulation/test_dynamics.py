@@ -28,30 +28,8 @@ ABYSS = build_terrain("far below", -50.0, -50.0, 10.0, np.full((11, 11), -100.0)
 OWN_SOIL = np.full((GROUP, 8), np.nan)
 
 
-BOGIE_LENGTHS = {
-    "rear": {
-        "front_wheel_m": (0.52, 0.04, -0.11),
-        "bogie_pivot_m": (-0.27, 0.02, -0.03),
-        "middle_wheel_m": (0.24, 0.01, -0.09),
-        "rear_wheel_m": (-0.29, 0.03, -0.07),
-    },
-    "front": {
-        "front_wheel_m": (0.27, 0.03, -0.07),
-        "bogie_pivot_m": (0.26, 0.02, -0.03),
-        "middle_wheel_m": (-0.22, 0.01, -0.09),
-        "rear_wheel_m": (-0.51, 0.04, -0.11),
-    },
-    "none": {
-        "front_wheel_m": (0.52, 0.04, -0.11),
-        "bogie_pivot_m": None,
-        "middle_wheel_m": None,
-        "rear_wheel_m": (-0.41, 0.03, -0.12),
-    },
-}
-
-
-@pytest.fixture(scope="module", params=list(BOGIE_LENGTHS))
-def rover(request: pytest.FixtureRequest) -> Rover:
+@pytest.fixture(scope="module", params=["rear", "front", "none"])
+def rover(request: pytest.FixtureRequest, lopsided_lengths: dict[str, dict[str, Any]]) -> Rover:
     """Without friction, and with lengths that break every symmetry that could hide a mistake."""
     return dataclasses.replace(
         build_rover("yutu2"),
@@ -59,7 +37,7 @@ def rover(request: pytest.FixtureRequest) -> Rover:
         steered=("front", "rear"),
         joint_damping_n_m_s=0.0,
         body_center_m=(0.07, 0.03, 0.31),
-        **BOGIE_LENGTHS[request.param],
+        **lopsided_lengths[request.param],
     )
 
 
