@@ -49,7 +49,7 @@ QUICK = {
     "regolith": "belief compare forces identify integrals inversion physics_discrepancy states",
     "inference": "problem",
     "rovers": "rovers",
-    "spectra": "continuum noise photometry solar spectrum",
+    "spectra": "continuum noise photometry photometry_experiment solar spectrum",
     "mgm": "covariance lanes",
     "abundance": "mixing",
     "chemistry": "bands",
