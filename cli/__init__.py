@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Collection, Sequence
 from functools import cache
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,6 +19,7 @@ import typer
 from lunarsci.errors import BatchError, NoFilesError, TakenError
 from lunarsci.io.atomic import STOPPING, written
 from lunarsci.names import nearest
+from lunarsci.registry import COMMANDS
 
 from .shared.talk import FAILED, NO_FILES, USAGE, failure_line, interrupt, interrupted, say
 
@@ -27,25 +29,6 @@ GROUPS = {
     "images": "What pictures show: terrain, where the rover stands, how deep its tracks are, and rocks.",
     "twin": "Whether the next drive is safe: a rover simulated on deformable ground.",
 }
-COMMANDS = {
-    "spectra": ("calibrate", "simulate", "bands", "indices", "fit", "unmix", "match", "map", "library"),
-    "regolith": ("forces", "identify", "infer", "compare"),
-    "images": ("cameras", "calibrate", "render", "dem", "locate", "merge", "track", "rocks"),
-    "twin": (
-        "terrain",
-        "plan",
-        "predict",
-        "simulate",
-        "states",
-        "forces",
-        "loads",
-        "update",
-        "compare",
-        "history",
-        "sweep",
-    ),
-}
-"""Of the groups, each a module of that name, in the order of their help."""
 SINGLE = {
     "info": "What a file is, what is in it, and which commands take it.",
     "template": "A file to begin with: rover, soil, plan, mission, craters or telemetry.",
@@ -100,7 +83,8 @@ def command_line(wanted: Collection[str] | None = None) -> typer.Typer:
 
 def _summary(group: str, command: str) -> str:
     """The first paragraph of a command's help, from its source, which is not run."""
-    tree = ast.parse(Path(__file__).with_name(group).joinpath(f"{command}.py").read_text("utf-8"))
+    place = find_spec(f".{group}.{command}", __name__)
+    tree = ast.parse(Path(str(place and place.origin)).read_text("utf-8"))
     for node in tree.body:
         if isinstance(node, ast.Assign) and isinstance(node.value, ast.Call):  # a group of its own: typer.Typer(help=)
             for part in node.value.keywords:

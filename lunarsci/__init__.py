@@ -2,11 +2,8 @@
 
 Every main job of the command line is a function here, with the same defaults, refusals and answers:
 
-* spectra: `calibrate`, `bands`, `indices`, `fit`, `unmix`, `match`;
-* regolith: `wheel_forces`, `identify`, `infer`, `compare_soils`;
-* images: `cameras`, `calibrate_cameras`, `render`, `dem`, `locate`, `merge`, `track`, `rocks`;
-* twin: `plan`, `predict`, `sweep`, `states`, `loads`, `update`, `compare` (a drive beside its prediction),
-  `compare_trials` (public drives);
+* PART: FUNCTIONS;
+* `compare_trials`: public drives beside what the twin predicts, as `compare` is for a drive beside its prediction;
 * `cite`: what to cite for results, as BibTeX; `report`: a page of results. `computing` says where jobs are computed.
 
 Each takes paths, open files, tables or arrays, and options by name, which its help lists. Each gives a `Result`:
@@ -18,14 +15,13 @@ On the command line alone: `info`, `spectra map`, `spectra library`, `twin simul
 from importlib import import_module
 from typing import Any
 
-JOBS = {
-    "spectra": ("calibrate", "bands", "indices", "fit", "unmix", "match"),
-    "regolith": ("wheel_forces", "identify", "infer", "compare_soils"),
-    "images": ("cameras", "calibrate_cameras", "render", "dem", "locate", "merge", "track", "rocks"),
-    "twin": ("plan", "predict", "sweep", "states", "loads", "update", "compare"),
-}
+from lunarsci.registry import COMMANDS, functions_of
+
+JOBS = {part: functions_of(part) for part in COMMANDS}
 """What each part offers; `__init__.pyi` has the same for type checkers."""
-_AREAS = {job: area for area, jobs in JOBS.items() for job in jobs}
+__doc__ = (__doc__ or "").replace(
+    "* PART: FUNCTIONS", ";\n".join(f"* {part}: {', '.join(f'`{one}`' for one in jobs)}" for part, jobs in JOBS.items())
+)
 
 _ELSEWHERE = {
     "computing": "lunarsci.parallel.blocks",
@@ -34,7 +30,7 @@ _ELSEWHERE = {
     "report": "lunarsci.pages.job",
 }
 
-__all__ = ["__version__", *_ELSEWHERE, *_AREAS]
+__all__ = ["__version__", *_ELSEWHERE, *(job for jobs in JOBS.values() for job in jobs)]
 
 __version__ = "0.1.0"
 
@@ -45,13 +41,11 @@ def _renderer() -> Any:
 
 
 def __getattr__(name: str) -> Any:
-    if name in __all__:
-        import_module("lunarsci.result").Result.renderer = staticmethod(_renderer)
-    if name in _ELSEWHERE:
-        return getattr(import_module(_ELSEWHERE[name]), name)
-    if name not in _AREAS:
+    part = next((part for part in COMMANDS if name in functions_of(part)), "")
+    if name not in _ELSEWHERE and not part:
         raise AttributeError(f"module 'lunarsci' has no attribute '{name}'")
-    return getattr(import_module(f"lunarsci.{_AREAS[name]}.jobs.{name}"), name)
+    import_module("lunarsci.result").Result.renderer = staticmethod(_renderer)
+    return getattr(import_module(_ELSEWHERE.get(name, f"lunarsci.{part}.jobs.{name}")), name)
 
 
 def __dir__() -> list[str]:

@@ -160,6 +160,7 @@ class Result(ABC):
     Attributes
     ----------
     schema : name and version of its JSON, such as `spectra-fit/1`.
+    page_title : what it is called on a page of `lunarsci report`, such as `Minerals`.
     made_from : what it was made from.
     untrusted : one sentence, why it should not be trusted or acted on; '' if it may be.
     failures : inputs that gave no result, one sentence each.
@@ -167,6 +168,7 @@ class Result(ABC):
     """
 
     schema: ClassVar[str] = ""
+    page_title: ClassVar[str] = ""
     asked: Asked | None = field(default=None, compare=False)
     renderer: ClassVar[Any] = None
     """Where the text and the HTML of a result come from; without it they are those of its table."""
@@ -211,6 +213,11 @@ class Result(ABC):
     def may_have(self, key: str) -> Collection[str]:
         """Names that stand below a key of `to_dict` where there is something to say of them, and else do not."""
         return ()
+
+    @staticmethod
+    def page_answer(result: Mapping[str, Any]) -> str:
+        """The answer of a page in a sentence or two, of what `to_dict` gave."""
+        return "Its numbers are below."
 
     def rows_each(self) -> Sequence[Mapping[str, Any]]:
         """The same where none of the columns wanted is of a part, as a band of a spectrum is: one of each thing."""

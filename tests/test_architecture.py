@@ -23,6 +23,7 @@ SHARED = {
     "names",
     "options",
     "ranges",
+    "registry",
     "printable",
     "sun",
     "io",

@@ -178,12 +178,12 @@ def _verdicts(report: Report, record: Mapping[str, Any]) -> list[str]:
 
     Then, where nothing else is said of it, whether its command trusts it.
     """
-    from lunarsci.pages.answers import ANSWERS, answer
+    from lunarsci.pages.answers import answer, answered
     from lunarsci.pages.documents import Document
 
     made = Document("", report.result.schema, report.content, record)
     many = max(len(report.content.get(name, ())) for name in ("spectra", "rocks"))
-    if made.kind not in ANSWERS or many > MOST_ANSWERED:
+    if answered(made.kind) is None or many > MOST_ANSWERED:
         return []
     verdicts: list[str] = []
     if 0 < len(report.content.get("spectra", ())) <= MOST_VERDICTS:

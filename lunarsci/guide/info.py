@@ -29,6 +29,7 @@ from lunarsci.io.inputs import (
 )
 from lunarsci.io.tables import separator_of
 from lunarsci.names import some_of
+from lunarsci.registry import KINDS, TAKEN_BY, WHEEL
 from lunarsci.result import MadeFrom, Result
 from lunarsci.rovers import read_rover, rover_names
 from lunarsci.spectra.readers.arrangements import header_channels
@@ -416,57 +417,6 @@ CONTENTS: Mapping[str, Callable[[InputFile], Mapping[str, Any]]] = {
 """What a reader says of a file, by its kind."""
 
 
-@dataclass(frozen=True, slots=True)
-class KindOfFile:
-    """What files of a kind are called, and the commands that take them."""
-
-    title: str
-    commands: tuple[str, ...]
-
-
-SPECTRUM = ("spectra bands", "spectra indices", "spectra fit", "spectra unmix", "spectra library import")
-GROUND = ("twin terrain", "twin plan", "twin predict --terrain")
-WHEEL = ("regolith infer --rover", "regolith identify --rover", "regolith forces --rover", "regolith compare --rover")
-KINDS: Mapping[str, KindOfFile] = {
-    "spectra": KindOfFile("reflectance spectra", SPECTRUM),
-    "library": KindOfFile("library of end members", ("spectra library list", "spectra unmix --library", *SPECTRUM)),
-    "vnis": KindOfFile("product of Chang'E-4 VNIS", ("spectra calibrate", *SPECTRUM)),
-    "cube": KindOfFile("image cube", ("spectra map",)),
-    "mgm": KindOfFile("start or result file of the RELAB MGM program", ("spectra fit --start-file",)),
-    "craters": KindOfFile("catalogue of craters", ("spectra match --craters", "spectra map --craters")),
-    "plan": KindOfFile("plan of a drive", ("twin predict", "twin simulate", "twin forces", "twin states")),
-    "mission": KindOfFile("mission of several targets", ("twin plan --mission",)),
-    "rover": KindOfFile("rover", ("twin predict --rover", "twin plan --rover", *WHEEL)),
-    "prior": KindOfFile("priors of a soil", ("regolith infer --prior-file",)),
-    "soil": KindOfFile("soil", ("twin predict --soil", "regolith forces --soil")),
-    "pose": KindOfFile("pose of a camera", ("images dem --pose", "images locate")),
-    "camera": KindOfFile("camera", ("images cameras",)),
-    "rig": KindOfFile("stereo rig of two cameras", ("images cameras", "images dem --rig", "images locate --rig")),
-    "config": KindOfFile("options of commands", ("any command --config",)),
-    "terrain": KindOfFile("heights on a grid", (*GROUND, "images track", "images rocks", "images merge")),
-    "zones": KindOfFile("ground to keep out of, or a line", ("twin predict --keep-out", "images track --line")),
-    "belief": KindOfFile("belief of a soil", ("twin predict --soil", "twin update --soil", "twin history")),
-    "soil map": KindOfFile("soil by place", ("twin predict --soil", "twin update --soil")),
-    "telemetry": KindOfFile("telemetry of a drive", ("twin states",)),
-    "states": KindOfFile("states of wheels", ("regolith identify", "regolith infer", "twin update", "twin compare")),
-    "slips": KindOfFile("states of wheels without forces", ("twin update", "twin compare", "twin loads --states")),
-    "motion": KindOfFile("motion of a rover", ("twin loads --motion",)),
-    "positions": KindOfFile("localised positions", ("twin states --positions", "twin update --positions")),
-    "track": KindOfFile("depth of a track", ("twin states --track", "images render --track")),
-    "soils": KindOfFile("soils, a row each", ("twin predict --soil",)),
-    "picture": KindOfFile("picture", ("images dem", "images calibrate", "report")),
-    "result": KindOfFile("result of a command", ("report", "cite")),
-    "table": KindOfFile("table of another kind", ()),
-}
-TAKEN_BY = {
-    "spectra-fit": ("spectra match",),
-    "spectra-bands": ("spectra match",),
-    "spectra-unmix": ("spectra match",),
-    "regolith-identify": ("regolith compare",),
-    "regolith-infer": ("regolith compare",),
-    "twin-predict": ("twin compare",),
-}
-"""Commands that take the result of another, by its schema."""
 TOML_KEYS = {
     "plan": ("leg",),
     "mission": ("target",),

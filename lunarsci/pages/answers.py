@@ -1,28 +1,36 @@
 """The answer of a result in a sentence or two that can be read aloud, by the kind of the result."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from importlib import import_module
 from itertools import product
 from typing import Any
 
 from lunarsci.errors import DataError
 from lunarsci.names import some_of
-from lunarsci.pages import drive_answers, rock_answers
 from lunarsci.pages.documents import Document
-from lunarsci.pages.words import (
-    DOUBT,
-    GO,
-    MOST,
-    STOP,
-    Result,
-    ResultAnswer,
-    counted,
-    measured,
-    number,
-    quantity,
-    trust,
-    unit,
-)
+from lunarsci.pages.words import ANSWERED, DOUBT, GO, MOST, STOP, AnsweredKind, Result, ResultAnswer, trust
+from lunarsci.registry import result_of
+
+
+def answered(kind: str) -> AnsweredKind | None:
+    """Title and answer of results of a kind, such as `twin-history`; None of one that has neither.
+
+    Those of `rock_answers` and `drive_answers`, or what the class of these results says of itself.
+    """
+    import_module(f"lunarsci.pages.{'rock' if kind.startswith('spectra-') else 'drive'}_answers")
+    if kind in ANSWERED:
+        return ANSWERED[kind]
+    result = result_of(kind)
+    if result is None or not result.page_title:
+        return None
+    return AnsweredKind(result.page_title, lambda content: ResultAnswer(result.page_answer(content)))
+
+
+def title_of(document: Document) -> str:
+    """What a result is, by its kind."""
+    kind = answered(document.kind)
+    return document.kind.replace("-", " ") if kind is None else kind.title
 
 
 def answer(document: Document) -> ResultAnswer:
@@ -31,9 +39,9 @@ def answer(document: Document) -> ResultAnswer:
     Whether it is trusted is what its command said, with exit code 3 or inputs that failed; nothing is judged here.
     Raises DataError where a document lacks what its schema has.
     """
-    made = ANSWERS.get(document.kind)
+    kind = answered(document.kind)
     with as_written(document):
-        drafted = made(document.result) if made else _unknown(document)
+        drafted = _unknown(document) if kind is None else kind.answer(document.result)
         parts = (document.result, document.result.get("soil"))
         caution = next((str(one["caution"]) for one in parts if isinstance(one, Mapping) and one.get("caution")), "")
         trusted, trust_text = trust(document.provenance, caution)
@@ -53,11 +61,15 @@ def contradictions(documents: Sequence[Document]) -> dict[str, str]:
             for record in document.result["spectra"]:
                 if digest := hashes.get(record.get("source")):
                     spectra.setdefault((digest, record["id"]), []).append((document, record))
+    if not spectra:
+        return {}
+    from lunarsci.pages.rock_answers import against
+
     contrary: dict[str, dict[str, None]] = {}
     for records in spectra.values():
         for (fit, fitted), (mix, mixed) in product(records, records):
             with as_written(fit), as_written(mix):
-                text = rock_answers.against(fitted, mixed)
+                text = against(fitted, mixed)
             for name in (fit.name, mix.name) if text else ():
                 contrary.setdefault(name, {})[text] = None
     return {name: some_of(list(text), MOST, " ") for name, text in contrary.items()}
@@ -97,123 +109,3 @@ def as_written(document: Document) -> Iterator[None]:
     except (LookupError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
         reason = f"lacks {error}" if isinstance(error, KeyError) else str(error)
         raise DataError(f"{document.name}: not what a {document.schema} holds: {reason}; make it anew") from error
-
-
-def soil(result: Result) -> ResultAnswer:
-    if isinstance(result.get("joint"), Mapping):
-        return _inferred(result["joint"])
-    values = [
-        (name, aspect[name]) for aspect in _aspects(result) for name in aspect if isinstance(aspect[name], Mapping)
-    ]
-    determined = [(k, v) for k, v in values if v.get("value") is not None and not v.get("assumed")]
-    lines = [f"{quantity(name)} {measured(item['value'], item.get('sigma'), _unit(name))}" for name, item in determined]
-    lost = [
-        quantity(name)
-        for name, item in values
-        if item.get("reason") and not item.get("assumed") and item.get("value") is None
-    ]
-    taken = [quantity(name) for name, item in values if item.get("assumed")]
-    if not lines:
-        return ResultAnswer("These wheel states do not determine the soil.")
-    states = len(result.get("observations", ())) or result.get("states")
-    of = f"From {counted(states, 'wheel state')}: " if isinstance(states, int) and states else "The soil: "
-    rest = [f" Not determined: {', '.join(lost)}." if lost else "", f" Assumed: {', '.join(taken)}." if taken else ""]
-    return ResultAnswer(f"{of}{'; '.join(lines)}.{''.join(rest)}")
-
-
-def _inferred(joint: Result) -> ResultAnswer:
-    determined = [(name, one) for name, one in joint["parameters"].items() if one["determined"]]
-    lines = [
-        f"{quantity(name)} {number(one['median'], 3)}, {number(one['low'], 3)} to "
-        f"{number(one['high'], 3)} {_unit(name)}"
-        for name, one in determined
-    ]
-    if not lines:
-        return ResultAnswer("These wheel states hardly tell more of the soil than was believed before.")
-    rest = " The rest is hardly known better than before." if len(determined) < len(joint["parameters"]) else ""
-    return ResultAnswer(f"These wheel states determine, with 68 %: {'; '.join(map(str.strip, lines))}.{rest}")
-
-
-def _aspects(result: Result) -> list[Mapping[str, Any]]:
-    return [result[name] for name in ("bearing", "shear", "lateral") if isinstance(result.get(name), Mapping)]
-
-
-def _unit(name: str) -> str:
-    return "kPa/m^N" if name == "stiffness_kpa_m_n" else unit(name)
-
-
-def wheel_forces(result: Result) -> ResultAnswer:
-    if not isinstance(result.get("normal_force_n"), int | float):
-        return ResultAnswer("Forces of a wheel over slip; the table has them.")
-    return ResultAnswer(
-        f"At {number(1e3 * result['sinkage_m'], 3)} mm sinkage and a slip of {number(result['slip_ratio'], 2)} a wheel "
-        f"carries {number(result['normal_force_n'], 3)} N, pulls with {number(result['drawbar_pull_n'], 3)} N "
-        f"and needs a torque of {number(result['resistance_torque_nm'], 3)} N m."
-    )
-
-
-def like(result: Result) -> ResultAnswer:
-    near = [one for one in result["soils"] if one.get("strength_distance") is not None]
-    best = min(near, key=lambda one: float(one["strength_distance"]), default=None)
-    nearest = f"; nearest in strength is {best['name']}" if best else ""
-    return ResultAnswer(f"The site is set beside {counted(len(result['soils']), 'soil')}{nearest}.")
-
-
-def reproduced(result: Result) -> ResultAnswer:
-    verdicts = "; ".join(f"{count} {verdict}" for verdict, count in result["verdicts"].items())
-    return ResultAnswer(f"Of {counted(len(result['numbers']), 'published number')}: {verdicts}.")
-
-
-SYMBOLS = {"-": "", "deg": "°"}
-
-
-def shown(result: Result) -> ResultAnswer:
-    firsts = {str(one["quantity"]).partition(":")[0]: one for one in reversed(result["findings"])}
-    listed = [
-        f"{one['quantity']}, {measured(one['value'], one.get('sigma'), SYMBOLS.get(one['unit'], one['unit']))}"
-        for one in reversed(firsts.values())
-    ]
-    more = len(result["findings"]) - len(listed)
-    rest = f" {more} more findings are below." if more else ""
-    return ResultAnswer(f"Everything here is synthetic. Found, among others: {'; '.join(listed)}.{rest}")
-
-
-ANSWERS: dict[str, Callable[[Result], ResultAnswer]] = {
-    "demo": shown,
-    "images-calibrate": drive_answers.calibrated_cameras,
-    "images-cameras": drive_answers.cameras,
-    "images-dem": drive_answers.heights,
-    "images-locate": drive_answers.located,
-    "images-merge": drive_answers.merged,
-    "images-render": drive_answers.rendered,
-    "images-rocks": drive_answers.rocks,
-    "images-track": drive_answers.ruts,
-    "regolith-compare": like,
-    "regolith-forces": wheel_forces,
-    "regolith-identify": soil,
-    "regolith-infer": soil,
-    "reproduce": reproduced,
-    "soil-map": drive_answers.soil_by_place,
-    "spectra-bands": rock_answers.bands,
-    "spectra-calibrate": rock_answers.calibrated,
-    "spectra-fit": rock_answers.fit,
-    "spectra-indices": rock_answers.indices,
-    "spectra-library": rock_answers.library,
-    "spectra-library-check": rock_answers.library_checked,
-    "spectra-map": rock_answers.mapped,
-    "spectra-match": rock_answers.match,
-    "spectra-pixel": rock_answers.pixel,
-    "spectra-simulate": rock_answers.simulated,
-    "spectra-unmix": rock_answers.unmixed,
-    "twin-compare": drive_answers.compared,
-    "twin-forces": drive_answers.loads,
-    "twin-history": drive_answers.believed,
-    "twin-mission": drive_answers.mission,
-    "twin-plan": drive_answers.planned,
-    "twin-predict": drive_answers.predicted,
-    "twin-simulate": drive_answers.simulated,
-    "twin-states": drive_answers.states,
-    "twin-sweep": drive_answers.designs,
-    "twin-terrain": drive_answers.ground,
-    "twin-update": drive_answers.learned,
-}

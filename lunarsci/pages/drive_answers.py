@@ -11,6 +11,7 @@ from lunarsci.pages.words import (
     STOP,
     Result,
     ResultAnswer,
+    answers,
     counted,
     each,
     measured,
@@ -24,6 +25,7 @@ from lunarsci.pages.words import (
 from lunarsci.result import UNMOVED
 
 
+@answers("The predicted drive", "twin-predict")
 def predicted(result: Result) -> ResultAnswer:
     go = result["verdict"] == "go"
     members, length = result["members"], number(result.get("path_length_m"), 3)
@@ -97,6 +99,7 @@ def _with_unit(limit: Result, value: float, digits: int = 2) -> str:
     return f"{number(float(factor * value), digits)}{symbol}"
 
 
+@answers("The ground", "twin-terrain")
 def ground(result: Result) -> ResultAnswer:
     free, hazard = percent(result["traversable_share"]), percent(result["hazard_share"])
     shares = f"{free} of the ground may be driven on, {hazard} is a hazard"
@@ -105,6 +108,7 @@ def ground(result: Result) -> ResultAnswer:
     return ResultAnswer(f"{made_up}{shares}{unknown}, for the limits of {result.get('rover', 'the rover')}.")
 
 
+@answers("The way", "twin-plan")
 def planned(result: Result) -> ResultAnswer:
     choice, path = result.get("choice"), result.get("path")
     if choice and not choice.get("feasible"):
@@ -137,6 +141,7 @@ def _chosen(choice: Result) -> str:
     )
 
 
+@answers("A mission", "twin-mission")
 def mission(result: Result) -> ResultAnswer:
     mission = result["mission"]
     total, reached = len(mission["targets"]), mission["reached"]
@@ -145,11 +150,13 @@ def mission(result: Result) -> ResultAnswer:
     return ResultAnswer(text, GO if reached == total else STOP)
 
 
+@answers("A simulated drive", "twin-simulate")
 def simulated(result: Result) -> ResultAnswer:
     end = f"The simulated drive {result['outcome']}" if result.get("outcome") else "A simulated drive"
     return ResultAnswer(f"{end} after {number(result['duration_s'], 3)} s. All of it is synthetic.")
 
 
+@answers("Wheel states of the drive", "twin-states")
 def states(result: Result) -> ResultAnswer:
     wheels = result["wheels"].values()
     slips = [one["slip_ratio"]["median"] for one in wheels if one["slip_ratio"]["median"] is not None]
@@ -172,6 +179,7 @@ def states(result: Result) -> ResultAnswer:
     return ResultAnswer(f"{way}{slip}{sink}{made_up}")
 
 
+@answers("Forces of the wheels", "twin-forces")
 def loads(result: Result) -> ResultAnswer:
     intervals = [interval for one in result["wheels"] if (interval := interval_of(one["normal_force_n"]))]
     if not intervals:
@@ -191,6 +199,7 @@ def interval_of(item: Result) -> tuple[float, float, float] | None:
     return None if mean is None or sigma is None else (mean, mean - sigma, mean + sigma)
 
 
+@answers("What the drive teaches of the soil", "twin-update")
 def learned(result: Result) -> ResultAnswer:
     if result.get("refused"):
         return ResultAnswer(f"Nothing was learned from this drive: {result['refused']}.")
@@ -206,6 +215,7 @@ def learned(result: Result) -> ResultAnswer:
     )
 
 
+@answers("The soil by place", "soil-map")
 def soil_by_place(result: Result) -> ResultAnswer:
     zones = result["zones"]
     if not zones:
@@ -251,6 +261,7 @@ def _after(name: str) -> str:
     return f"\u202f{symbol}" if symbol == "°" else f" {symbol}" if symbol else ""
 
 
+@answers("How right the prediction was", "twin-compare")
 def compared(result: Result) -> ResultAnswer:
     end, verdict = result.get("end"), str(result["verdict"])
     where = "" if not end or end.get("error_m") is None else f" {_ended(end)}"
@@ -268,6 +279,7 @@ def _ended(end: Result) -> str:
     return f"{at} the rover was {error} m from where it was predicted to be."
 
 
+@answers("What the belief of the soil rests on", "twin-history")
 def believed(result: Result) -> ResultAnswer:
     drives = result["drives"]
     learned = [one for one in drives if not one.get("refused")]
@@ -279,6 +291,7 @@ def believed(result: Result) -> ResultAnswer:
     )
 
 
+@answers("Designs of the rover", "twin-sweep")
 def designs(result: Result) -> ResultAnswer:
     designs, keys = result["designs"], [str(one["name"]) for one in result.get("vary") or ()]
     best = [_design(designs[k], keys) for k in result["front"] if k < len(designs)]
@@ -304,6 +317,7 @@ def _baseline(one: Result) -> str:
     return f"baseline {measured(1e3 * one['baseline_m'], 1e3 * one['baseline_m_sigma'], 'mm')}"
 
 
+@answers("Cameras", "images-cameras")
 def cameras(result: Result) -> ResultAnswer:
     rigs = each(result["rigs"], _one_rig, "stereo pair") if result["rigs"] else ""
     names = ", ".join(str(one["name"]) for one in result["cameras"])
@@ -322,6 +336,7 @@ def _one_rig(rig: Result) -> str:
     return f"Stereo cameras {rig['name']}: {_baseline(rig)}{error}."
 
 
+@answers("Cameras, calibrated", "images-calibrate")
 def calibrated_cameras(result: Result) -> ResultAnswer:
     used = sum(bool(one["used"]) for one in result["pictures"])
     base = f", {_baseline(result)}" if "baseline_m" in result else ""
@@ -333,6 +348,7 @@ def calibrated_cameras(result: Result) -> ResultAnswer:
     )
 
 
+@answers("Heights from pictures", "images-dem")
 def heights(result: Result) -> ResultAnswer:
     terrain, ranges = result["terrain"], result["ranges"]
     (west, east), (south, north) = terrain["x_m"], terrain["y_m"]
@@ -354,6 +370,7 @@ def _synthetic(terrain: Result) -> str:
     return "Synthetic ground. " if terrain.get("synthetic") else ""
 
 
+@answers("Where the pictures were taken", "images-locate")
 def located(result: Result) -> ResultAnswer:
     stations = result["stations"]
     tied = sum(bool(one["tied"]) for one in stations)
@@ -367,6 +384,7 @@ def located(result: Result) -> ResultAnswer:
     )
 
 
+@answers("Heights of several stations", "images-merge")
 def merged(result: Result) -> ResultAnswer:
     worst = max((float(one["rms_z"]) for one in result["overlaps"]), default=None)
     agree = f" Where two overlap they differ by {number(worst, 2)} times their errors at most." if worst else ""
@@ -377,6 +395,7 @@ def merged(result: Result) -> ResultAnswer:
     )
 
 
+@answers("Synthetic pictures", "images-render")
 def rendered(result: Result) -> ResultAnswer:
     pixels = result["pixels"]
     return ResultAnswer(
@@ -385,6 +404,7 @@ def rendered(result: Result) -> ResultAnswer:
     )
 
 
+@answers("Depth of the ruts", "images-track")
 def ruts(result: Result) -> ResultAnswer:
     depth, terrain = result["sinkage_m"], result.get("terrain") or {}
     if depth.get("mean") is None:
@@ -395,6 +415,7 @@ def ruts(result: Result) -> ResultAnswer:
     )
 
 
+@answers("Rocks", "images-rocks")
 def rocks(result: Result) -> ResultAnswer:
     listed = result["rocks"]
     largest = max(listed, key=lambda one: float(one["diameter_m"]), default=None)
@@ -406,3 +427,87 @@ def rocks(result: Result) -> ResultAnswer:
     false = result.get("expected_false_share")
     doubt = f", of which {percent(false)} are expected to be none" if listed and false else ""
     return ResultAnswer(f"{_synthetic(result.get('terrain') or {})}{counted(len(listed), 'rock')} found{doubt}.{tall}")
+
+
+@answers("The soil from wheel states", "regolith-identify", "regolith-infer")
+def soil(result: Result) -> ResultAnswer:
+    if isinstance(result.get("joint"), Mapping):
+        return _inferred(result["joint"])
+    values = [
+        (name, aspect[name]) for aspect in _aspects(result) for name in aspect if isinstance(aspect[name], Mapping)
+    ]
+    determined = [(k, v) for k, v in values if v.get("value") is not None and not v.get("assumed")]
+    lines = [f"{quantity(name)} {measured(item['value'], item.get('sigma'), _unit(name))}" for name, item in determined]
+    lost = [
+        quantity(name)
+        for name, item in values
+        if item.get("reason") and not item.get("assumed") and item.get("value") is None
+    ]
+    taken = [quantity(name) for name, item in values if item.get("assumed")]
+    if not lines:
+        return ResultAnswer("These wheel states do not determine the soil.")
+    states = len(result.get("observations", ())) or result.get("states")
+    of = f"From {counted(states, 'wheel state')}: " if isinstance(states, int) and states else "The soil: "
+    rest = [f" Not determined: {', '.join(lost)}." if lost else "", f" Assumed: {', '.join(taken)}." if taken else ""]
+    return ResultAnswer(f"{of}{'; '.join(lines)}.{''.join(rest)}")
+
+
+def _inferred(joint: Result) -> ResultAnswer:
+    determined = [(name, one) for name, one in joint["parameters"].items() if one["determined"]]
+    lines = [
+        f"{quantity(name)} {number(one['median'], 3)}, {number(one['low'], 3)} to "
+        f"{number(one['high'], 3)} {_unit(name)}"
+        for name, one in determined
+    ]
+    if not lines:
+        return ResultAnswer("These wheel states hardly tell more of the soil than was believed before.")
+    rest = " The rest is hardly known better than before." if len(determined) < len(joint["parameters"]) else ""
+    return ResultAnswer(f"These wheel states determine, with 68 %: {'; '.join(map(str.strip, lines))}.{rest}")
+
+
+def _aspects(result: Result) -> list[Mapping[str, Any]]:
+    return [result[name] for name in ("bearing", "shear", "lateral") if isinstance(result.get(name), Mapping)]
+
+
+def _unit(name: str) -> str:
+    return "kPa/m^N" if name == "stiffness_kpa_m_n" else unit(name)
+
+
+@answers("Forces of a wheel", "regolith-forces")
+def wheel_forces(result: Result) -> ResultAnswer:
+    if not isinstance(result.get("normal_force_n"), int | float):
+        return ResultAnswer("Forces of a wheel over slip; the table has them.")
+    return ResultAnswer(
+        f"At {number(1e3 * result['sinkage_m'], 3)} mm sinkage and a slip of {number(result['slip_ratio'], 2)} a wheel "
+        f"carries {number(result['normal_force_n'], 3)} N, pulls with {number(result['drawbar_pull_n'], 3)} N "
+        f"and needs a torque of {number(result['resistance_torque_nm'], 3)} N m."
+    )
+
+
+@answers("The soil beside others", "regolith-compare")
+def compared_soils(result: Result) -> ResultAnswer:
+    near = [one for one in result["soils"] if one.get("strength_distance") is not None]
+    best = min(near, key=lambda one: float(one["strength_distance"]), default=None)
+    nearest = f"; nearest in strength is {best['name']}" if best else ""
+    return ResultAnswer(f"The site is set beside {counted(len(result['soils']), 'soil')}{nearest}.")
+
+
+@answers("Published numbers", "reproduce")
+def reproduced(result: Result) -> ResultAnswer:
+    verdicts = "; ".join(f"{count} {verdict}" for verdict, count in result["verdicts"].items())
+    return ResultAnswer(f"Of {counted(len(result['numbers']), 'published number')}: {verdicts}.")
+
+
+SYMBOLS = {"-": "", "deg": "°"}
+
+
+@answers("The demonstration", "demo")
+def shown(result: Result) -> ResultAnswer:
+    firsts = {str(one["quantity"]).partition(":")[0]: one for one in reversed(result["findings"])}
+    listed = [
+        f"{one['quantity']}, {measured(one['value'], one.get('sigma'), SYMBOLS.get(one['unit'], one['unit']))}"
+        for one in reversed(firsts.values())
+    ]
+    more = len(result["findings"]) - len(listed)
+    rest = f" {more} more findings are below." if more else ""
+    return ResultAnswer(f"Everything here is synthetic. Found, among others: {'; '.join(listed)}.{rest}")

@@ -11,7 +11,7 @@ from typing import Any
 
 from lunarsci.errors import ParameterError
 from lunarsci.pages import parts
-from lunarsci.pages.answers import answer, as_written, contradictions, namesakes
+from lunarsci.pages.answers import answer, as_written, contradictions, namesakes, title_of
 from lunarsci.pages.charts import Chart, charts
 from lunarsci.pages.documents import Document, GivenPicture
 from lunarsci.pages.relief import Ground, GroundView, Line, lines_of, relief
@@ -21,50 +21,6 @@ from lunarsci.provenance import installed_version
 
 MARKS = {GO: "Go", STOP: "No-go", DOUBT: "Not to be trusted as it is"}
 MIME = {".png": "image/png", ".svg": "image/svg+xml"}
-TITLES = {
-    "demo": "The demonstration",
-    "images-calibrate": "Cameras, calibrated",
-    "images-cameras": "Cameras",
-    "images-dem": "Heights from pictures",
-    "images-locate": "Where the pictures were taken",
-    "images-merge": "Heights of several stations",
-    "images-render": "Synthetic pictures",
-    "images-rocks": "Rocks",
-    "images-track": "Depth of the ruts",
-    "regolith-compare": "The soil beside others",
-    "regolith-forces": "Forces of a wheel",
-    "regolith-identify": "The soil from wheel states",
-    "regolith-infer": "The soil from wheel states",
-    "reproduce": "Published numbers",
-    "soil-map": "The soil by place",
-    "spectra-bands": "Absorption bands",
-    "spectra-calibrate": "Calibrated spectra",
-    "spectra-fit": "Minerals",
-    "spectra-indices": "Spectral indices",
-    "spectra-library": "A spectral library",
-    "spectra-library-check": "A spectral library, checked",
-    "spectra-map": "Maps of a cube",
-    "spectra-pixel": "A pixel of a cube",
-    "spectra-match": "Where the rock came from",
-    "spectra-simulate": "A simulated observation",
-    "spectra-unmix": "Shares of minerals",
-    "twin-compare": "How right the prediction was",
-    "twin-forces": "Forces of the wheels",
-    "twin-history": "What the belief of the soil rests on",
-    "twin-mission": "A mission",
-    "twin-plan": "The way",
-    "twin-predict": "The predicted drive",
-    "twin-simulate": "A simulated drive",
-    "twin-states": "Wheel states of the drive",
-    "twin-sweep": "Designs of the rover",
-    "twin-terrain": "The ground",
-    "twin-update": "What the drive teaches of the soil",
-}
-
-
-def title_of(document: Document) -> str:
-    """What a result is, by its kind."""
-    return TITLES.get(document.kind, document.kind.replace("-", " "))
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from lunarsci.names import some_of
-from lunarsci.pages.words import Result, ResultAnswer, counted, each, measured, number, percent, sentence
+from lunarsci.pages.words import Result, ResultAnswer, answers, counted, each, measured, number, percent, sentence
 from lunarsci.result import FINE
 from lunarsci.spectra.band_status import DEPENDS
 from lunarsci.spectra.jobs.verdicts import bands_meaning, centre_texts, fit_verdict, shares_verdict
@@ -21,6 +21,7 @@ HARDLY, CLEARLY = 0.05, 0.10
 """Share of a mineral below which a mixture has hardly any, and above which it clearly has some; assumed."""
 
 
+@answers("Calibrated spectra", "spectra-calibrate")
 def calibrated(result: Result) -> ResultAnswer:
     spectra = result["spectra"]
     made_up = "Synthetic. " if any(one.get("synthetic") for one in spectra) else ""
@@ -39,6 +40,7 @@ def _calibrated_in_short(one: Result) -> str:
     return "calibrated to reflectance" if one.get("status") in FINE else str(one.get("status"))
 
 
+@answers("Absorption bands", "spectra-bands")
 def bands(result: Result) -> ResultAnswer:
     spectra = result["spectra"]
     if len(spectra) <= MOST_NAMED:
@@ -76,10 +78,12 @@ def _times(value: Any, factor: float) -> Any:
     return None if value is None else factor * value
 
 
+@answers("Minerals", "spectra-fit")
 def fit(result: Result) -> ResultAnswer:
     return ResultAnswer(each(result["spectra"], _one_fit, "spectrum", _fit_in_short))
 
 
+@answers("Shares of minerals", "spectra-unmix")
 def unmixed(result: Result) -> ResultAnswer:
     without = [str(one["id"]) for one in result["spectra"] if not one["abundance"]["in_domain"]]
     caution = [f"Shares of {some_of(without, MOST_NAMED)} are to be quoted with their 95 % intervals alone."]
@@ -159,6 +163,7 @@ def against(fitted: Result, mixed: Result) -> str:
     return f"{fitted['id']}: the fit and the shares contradict each other: {'; '.join(lines)} (95 %)." if lines else ""
 
 
+@answers("Where the rock came from", "spectra-match")
 def match(result: Result) -> ResultAnswer:
     rocks = result["rocks"]
     open_ones = [rock for rock in rocks if rock.get("best") is None]
@@ -176,6 +181,7 @@ def _match_in_short(rock: Result) -> str:
     return str(rock.get("status") or "no crater stands out").partition(" (")[0].partition(":")[0]
 
 
+@answers("Spectral indices", "spectra-indices")
 def indices(result: Result) -> ResultAnswer:
     spectra, about_each = result.get("spectra", ()), result["indices"]
     if len(spectra) != 1:
@@ -198,6 +204,7 @@ def indices(result: Result) -> ResultAnswer:
     return ResultAnswer(f"{spectra[0]['id']}: {first or 'no index could be measured'}.{lost}")
 
 
+@answers("A simulated observation", "spectra-simulate")
 def simulated(result: Result) -> ResultAnswer:
     shares = ", ".join(f"{name} {percent(share)}" for name, share in result["composition"].items() if share)
     return ResultAnswer(
@@ -206,6 +213,7 @@ def simulated(result: Result) -> ResultAnswer:
     )
 
 
+@answers("A spectral library, checked", "spectra-library-check")
 def library_checked(result: Result) -> ResultAnswer:
     members = result["end_members"]
     bad = [one["id"] for one in members if one["must_mend"]]
@@ -216,12 +224,14 @@ def library_checked(result: Result) -> ResultAnswer:
     return ResultAnswer(f"{counted(len(members), 'end member')}, fit for use.{noted}")
 
 
+@answers("A spectral library", "spectra-library")
 def library(result: Result) -> ResultAnswer:
     members = result["end_members"]
     minerals = dict.fromkeys(str(one.get("mineral") or "unknown") for one in members)
     return ResultAnswer(f"A library of {counted(len(members), 'spectrum')}: {', '.join(minerals)}.")
 
 
+@answers("Maps of a cube", "spectra-map")
 def mapped(result: Result) -> ResultAnswer:
     counts = result["pixels"]
     usable = counts["pixels"] - counts.get("no_data", 0)
@@ -247,6 +257,7 @@ def _where_determined(share: float | None) -> str:
     return "" if share is None or percent(share) == percent(1.0) else f", of the {percent(share)} that have one"
 
 
+@answers("A pixel of a cube", "spectra-pixel")
 def pixel(result: Result) -> ResultAnswer:
     channels = [value for value in result["reflectance"] if value is not None]
     flags = f" It is marked: {', '.join(result['flags'])}." if result.get("flags") else ""

@@ -4,7 +4,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 from lunarsci.figure import FIRST_PAGE
 from lunarsci.result import ENDS, unit_of
@@ -150,6 +150,7 @@ GO, STOP, DOUBT, PLAIN = "go", "no-go", "doubt", "plain"
 MOST = 4
 """Spectra, rocks or designs that are answered one by one; of more the kinds of answers are counted."""
 Result: TypeAlias = Mapping[str, Any]
+Answer = TypeVar("Answer", bound="Callable[[Result], ResultAnswer]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,6 +167,28 @@ class ResultAnswer:
     text: str
     tone: str = PLAIN
     trust: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class AnsweredKind:
+    """What results of a kind are called on a page, and what makes the answer of one."""
+
+    title: str
+    answer: Callable[[Result], ResultAnswer]
+
+
+ANSWERED: dict[str, AnsweredKind] = {}
+"""By the schema of a result without its version; `answers` fills it."""
+
+
+def answers(title: str, *kinds: str) -> Callable[[Answer], Answer]:
+    """Give results of these kinds a title and, by the function that follows, their answer on a page."""
+
+    def register(function: Answer) -> Answer:
+        ANSWERED.update(dict.fromkeys(kinds, AnsweredKind(title, function)))
+        return function
+
+    return register
 
 
 def each(

@@ -18,8 +18,9 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.guide import doctor
 from lunarsci.guide.cite import REFERENCE, SEVERAL, CitedSources, cite, reference_of, reference_to, works
 from lunarsci.guide.cite import _cited as cite_of
-from lunarsci.guide.info import CONTENTS, CSV_COLUMNS, KINDS, MAGIC, SUFFIXES, TOML_KEYS, info
+from lunarsci.guide.info import CONTENTS, CSV_COLUMNS, MAGIC, SUFFIXES, TOML_KEYS, info
 from lunarsci.guide.template import KINDS as TEMPLATES
+from lunarsci.registry import KINDS
 from lunarsci.guide.template import described, template
 from lunarsci.io.inputs import InputFile
 from lunarsci.provenance import Provenance, document, to_json

@@ -1,0 +1,125 @@
+"""What lunarsci offers, by name: its commands, which functions of `import lunarsci` they are, and who takes which file.
+
+A new command is a word in `COMMANDS`; its help, its function, its place in the documentation and its page of
+`lunarsci report` follow from the word.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from lunarsci.result import Result
+
+COMMANDS: dict[str, dict[str, str]] = {
+    "spectra": {
+        "calibrate": "calibrate",
+        "simulate": "",
+        "bands": "bands",
+        "indices": "indices",
+        "fit": "fit",
+        "unmix": "unmix",
+        "match": "match",
+        "map": "",
+        "library": "",
+    },
+    "regolith": {"forces": "wheel_forces", "identify": "identify", "infer": "infer", "compare": "compare_soils"},
+    "images": {
+        "cameras": "cameras",
+        "calibrate": "calibrate_cameras",
+        "render": "render",
+        "dem": "dem",
+        "locate": "locate",
+        "merge": "merge",
+        "track": "track",
+        "rocks": "rocks",
+    },
+    "twin": {
+        "terrain": "",
+        "plan": "plan",
+        "predict": "predict",
+        "simulate": "",
+        "states": "states",
+        "forces": "",
+        "loads": "loads",
+        "update": "update",
+        "compare": "compare",
+        "history": "",
+        "sweep": "sweep",
+    },
+}
+"""Of each part the commands, in the order of their help, and the function of `import lunarsci` that is the same job; ''
+where there is none. A command is the module `cli/PART/COMMAND.py`; its job is the module of the function's name in
+`lunarsci/PART/jobs`, or of the command's."""
+
+
+def functions_of(part: str) -> tuple[str, ...]:
+    """The functions of `import lunarsci` for a part, in the order of its commands."""
+    return tuple(filter(None, COMMANDS[part].values()))
+
+
+def result_of(kind: str) -> "type[Result] | None":
+    """The class of results of a kind, such as `twin-history`; None where no command of a part makes such results.
+
+    A schema begins with part and command: `spectra library` makes `spectra-library` and `spectra-library-check`.
+    """
+    part, _, rest = kind.partition("-")
+    named = [one for one in COMMANDS.get(part, ()) if f"{rest}-".startswith(f"{one}-")]
+    if not named:
+        return None
+    module = import_module(f"lunarsci.{part}.jobs.{COMMANDS[part][named[0]] or named[0]}")
+    return next((one for one in vars(module).values() if getattr(one, "schema", "").rpartition("/")[0] == kind), None)
+
+
+@dataclass(frozen=True, slots=True)
+class KindOfFile:
+    """What files of a kind are called, and the commands that take them, with the option where it is no argument."""
+
+    title: str
+    commands: tuple[str, ...]
+
+
+SPECTRUM = ("spectra bands", "spectra indices", "spectra fit", "spectra unmix", "spectra library import")
+GROUND = ("twin terrain", "twin plan", "twin predict --terrain")
+WHEEL = ("regolith infer --rover", "regolith identify --rover", "regolith forces --rover", "regolith compare --rover")
+KINDS: Mapping[str, KindOfFile] = {
+    "spectra": KindOfFile("reflectance spectra", SPECTRUM),
+    "library": KindOfFile("library of end members", ("spectra library list", "spectra unmix --library", *SPECTRUM)),
+    "vnis": KindOfFile("product of Chang'E-4 VNIS", ("spectra calibrate", *SPECTRUM)),
+    "cube": KindOfFile("image cube", ("spectra map",)),
+    "mgm": KindOfFile("start or result file of the RELAB MGM program", ("spectra fit --start-file",)),
+    "craters": KindOfFile("catalogue of craters", ("spectra match --craters", "spectra map --craters")),
+    "plan": KindOfFile("plan of a drive", ("twin predict", "twin simulate", "twin forces", "twin states")),
+    "mission": KindOfFile("mission of several targets", ("twin plan --mission",)),
+    "rover": KindOfFile("rover", ("twin predict --rover", "twin plan --rover", *WHEEL)),
+    "prior": KindOfFile("priors of a soil", ("regolith infer --prior-file",)),
+    "soil": KindOfFile("soil", ("twin predict --soil", "regolith forces --soil")),
+    "pose": KindOfFile("pose of a camera", ("images dem --pose", "images locate")),
+    "camera": KindOfFile("camera", ("images cameras",)),
+    "rig": KindOfFile("stereo rig of two cameras", ("images cameras", "images dem --rig", "images locate --rig")),
+    "config": KindOfFile("options of commands", ("any command --config",)),
+    "terrain": KindOfFile("heights on a grid", (*GROUND, "images track", "images rocks", "images merge")),
+    "zones": KindOfFile("ground to keep out of, or a line", ("twin predict --keep-out", "images track --line")),
+    "belief": KindOfFile("belief of a soil", ("twin predict --soil", "twin update --soil", "twin history")),
+    "soil map": KindOfFile("soil by place", ("twin predict --soil", "twin update --soil")),
+    "telemetry": KindOfFile("telemetry of a drive", ("twin states",)),
+    "states": KindOfFile("states of wheels", ("regolith identify", "regolith infer", "twin update", "twin compare")),
+    "slips": KindOfFile("states of wheels without forces", ("twin update", "twin compare", "twin loads --states")),
+    "motion": KindOfFile("motion of a rover", ("twin loads --motion",)),
+    "positions": KindOfFile("localised positions", ("twin states --positions", "twin update --positions")),
+    "track": KindOfFile("depth of a track", ("twin states --track", "images render --track")),
+    "soils": KindOfFile("soils, a row each", ("twin predict --soil",)),
+    "picture": KindOfFile("picture", ("images dem", "images calibrate", "report")),
+    "result": KindOfFile("result of a command", ("report", "cite")),
+    "table": KindOfFile("table of another kind", ()),
+}
+TAKEN_BY = {
+    "spectra-fit": ("spectra match",),
+    "spectra-bands": ("spectra match",),
+    "spectra-unmix": ("spectra match",),
+    "regolith-identify": ("regolith compare",),
+    "regolith-infer": ("regolith compare",),
+    "twin-predict": ("twin compare",),
+}
+"""Commands that take the result of another, by its schema."""
