@@ -10,7 +10,16 @@ from pathlib import Path
 from typing import Any
 
 from docutils import nodes
-from pages_of_code import fields_text, plan_text, requests_text, rover_text, soils_text, telemetry_text, wheels_text
+from pages_of_code import (
+    fields_text,
+    functions_text,
+    plan_text,
+    requests_text,
+    rover_text,
+    soils_text,
+    telemetry_text,
+    wheels_text,
+)
 from pages_of_commands import command_text, commands_text, keys_text, units_text
 from pages_of_sources import constants_text, sources_text
 from sphinx.application import Sphinx
@@ -72,6 +81,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
         ("json-keys", keys_text, 0),
         ("units", units_text, 0),
         ("fields", fields_text, 1),
+        ("functions", functions_text, 1),
         ("requests", requests_text, 0),
         ("rover-file", rover_text, 1),
         ("wheels", wheels_text, 0),

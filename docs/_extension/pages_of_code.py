@@ -12,6 +12,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from lunarsci.registry import functions_of
 from lunarsci.rovers import read_rover, rover_names, wheel_names
 from lunarsci.twin.telemetry import reading
 
@@ -182,6 +183,12 @@ def telemetry_text() -> str:
             f"{'needed' if name in reading.NEEDED else ''} | {MEANT[name].replace('`{}`', '`WHEEL`')} |"
             for name in names]  # fmt: skip
     return "\n".join(["| column | unit | | meaning |", "| --- | --- | --- | --- |", *rows])
+
+
+def functions_text(part: str) -> str:
+    """The functions of `import lunarsci` for a part, from their docstrings."""
+    lines = [f".. autofunction:: lunarsci.{part}.jobs.{name}.{name}" for name in functions_of(part)]
+    return "\n".join(["```{eval-rst}", *lines, "```"])
 
 
 def requests_text() -> str:

@@ -256,7 +256,10 @@ def keys_text() -> str:
     """Keys of `--json` by command, as its recorded answers have them, with units and meanings."""
     known = meanings()
     answers = json.loads((ROOT / "tests/former_results.json").read_text("utf-8"))["answers"]
-    lines = dict(re.findall(r'^    "([^"]+)": f?"(.+)', (ROOT / "tests/benchmarks/former.py").read_text("utf-8"), re.M))
+    texts = [file.read_text("utf-8") for file in (ROOT / "tests/cli").glob("test_*.py")]
+    texts = [text for text in texts if "\nRECORDED = {" in text]
+    texts.append((ROOT / "tests/benchmarks/former.py").read_text("utf-8"))
+    lines = {name: line for text in texts for name, line in re.findall(r'^    "([^"]+)": f?"(.+)', text, re.M)}
     paths = sorted((path for path, _ in every_command()), key=len, reverse=True)
     found: dict[str, dict[str, None]] = {}
     for name, answer in answers.items():

@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 from lunarsci.errors import DataError
 from lunarsci.io.atomic import check_target, write_files
 from lunarsci.options import request_of
-from lunarsci.pages.documents import Document, GivenPicture, read_results
 from lunarsci.pages.answers import title_of
+from lunarsci.pages.documents import Document, GivenPicture, read_results
 from lunarsci.pages.page import Page
 from lunarsci.pages.relief import Ground
 from lunarsci.pages.requests import ReportRequest

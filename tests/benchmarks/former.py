@@ -7,6 +7,7 @@ on the libraries.
 """
 
 import argparse
+import ast
 import contextlib
 import fcntl
 import html
@@ -24,13 +25,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from lunarsci.cli import main
+import typer
+from lunarsci.cli import command_line, main
 from lunarsci.cli.shared.emit import Report, emit
+from lunarsci.cli.shared.options import PANEL
 from lunarsci.cli.shared.table import TextTable, render
 from pictured import MISSION, PLAN
 from rich.cells import cell_len
 
 import lunarsci
+from lunarsci import registry
 from lunarsci.pages.job import report
 from lunarsci.provenance import to_json
 from lunarsci.result import Result
@@ -110,17 +114,27 @@ DRIVES: dict[str, str] = {
     "reproduce": "reproduce --part soil",
 }
 HALVES = {"rocks": ROCKS, "drives": DRIVES}
-COMMANDS = ROCKS | DRIVES
 FILES = {"bands.json": "bands", "soil.json": "identify joint"}
 """Files that hold the document of an earlier command."""
 CSV_FILES = {"states.csv": "wheel loads"}
 
 
+def lines_of_tests() -> Iterator[tuple[str, str]]:
+    """Further lines, of `RECORDED` in the files of `tests/cli`."""
+    for path in sorted((ROOT / "tests/cli").glob("test_*.py")):
+        if "\nRECORDED = {" in (text := path.read_text("utf-8")):
+            named = (node for node in ast.parse(text).body if isinstance(node, ast.Assign))
+            yield from next(
+                ast.literal_eval(one.value) for one in named if ast.unparse(one.targets[0]) == "RECORDED"
+            ).items()
+
+
+for _name, _line in lines_of_tests():
+    (ROCKS if _line.startswith("spectra ") else DRIVES)[_name] = _line
+COMMANDS = ROCKS | DRIVES
+
+
 NOTEBOOK: dict[str, Callable[[], Result]] = {
-    "calibrate": lambda: lunarsci.calibrate("scene"),
-    "bands": lambda: lunarsci.bands("rock.ecsv"),
-    "indices": lambda: lunarsci.indices("rock.ecsv"),
-    "fit": lambda: lunarsci.fit("rock.ecsv"),
     "fit held": lambda: lunarsci.fit(
         "rock.ecsv",
         fix=("opx_1_center_nm=915",),
@@ -128,25 +142,8 @@ NOTEBOOK: dict[str, Callable[[], Result]] = {
         tie=("cpx_1_fwhm_nm=1.0*opx_1_fwhm_nm+10",),
         starts=1,
     ),
-    "unmix": lambda: lunarsci.unmix("rock.ecsv", kind="solid-rock"),
-    "match modes": lambda: lunarsci.match(modes="ol=0.25:0.05,opx=0.345:0.05,cpx=0.405:0.05", name="fin"),
-    "forces": lambda: lunarsci.wheel_forces(load=36.5, slip=-0.05, side_slip=2),
-    "identify": lambda: lunarsci.identify("states.csv", lateral_modulus="20"),
-    "compare soils": lambda: lunarsci.compare_soils("soil.json"),
-    "identify joint": lambda: lunarsci.infer("states.csv", seed=2),
-    "terrain": lambda: lunarsci.plan(max_slope=11, target="8.5,2.5"),
-    "track": lambda: lunarsci.track("ground/terrain.npz", line="0,1,2.5,1.2", step=0.5),
-    "rocks": lambda: lunarsci.rocks("ground/terrain.npz", sizes="0.2"),
-    "cameras": lambda: lunarsci.cameras(),
-    "predict sweep": lambda: lunarsci.predict("short.toml", sweep=("friction_angle_deg=30:50:3",)),
-    "sweep": lambda: lunarsci.sweep(
-        "short.toml",
-        vary=("wheel.radius_m=0.13:0.29:2", "mass.body_kg=90:120:2"),
-        sweep=("friction_angle_deg=30:50:2",),
-        sample=0.2,
-    ),
-    "states": lambda: lunarsci.states("drive/telemetry.csv", "short.toml", track="drive/track.csv"),
     "loads of paths": lambda: lunarsci.loads("predicted/paths.csv", plan="short.toml", member=1),
+    "compare drives": lambda: lunarsci.compare("predicted", "states/states.csv", positions="states/positions.csv"),
     "update": lambda: lunarsci.update(
         "states/states.csv",
         plan="short.toml",
@@ -156,9 +153,41 @@ NOTEBOOK: dict[str, Callable[[], Result]] = {
         ruts=False,
         by_place=True,
     ),
-    "compare drives": lambda: lunarsci.compare("predicted", "states/states.csv", positions="states/positions.csv"),
 }
-"""The same jobs in Python, by the name of the command that must answer the same."""
+"""Jobs in Python that are called in another way than their commands, by the name of the command that must answer the
+same; of the others `in_python` makes a call."""
+
+
+def job_of(line: str) -> str:
+    """The function of `import lunarsci` that is the command of a line; '' where there is none."""
+    part, command = line.split()[:2]
+    return registry.COMMANDS.get(part, {}).get(command, "")
+
+
+def notebook_names() -> list[str]:
+    """The first line of every job, and `NOTEBOOK`."""
+    firsts: dict[str, str] = {}
+    for name, line in COMMANDS.items():
+        firsts.setdefault(job_of(line), name)
+    return list(dict.fromkeys([*(name for job, name in firsts.items() if job), *NOTEBOOK]))
+
+
+def in_python(line: str) -> Result:
+    """The job of a line, called with its arguments in their order and what else the line gives by name."""
+    part, name, *words = line.split()
+    typed: Any = typer.main.get_command(command_line((part, name))).commands[part].commands[name]  # type: ignore[attr-defined]
+    context = typed.make_context(name, words)
+    arguments, options = [], {}
+    for one in typed.params:
+        value = context.params.get(one.name)
+        if context.get_parameter_source(one.name).name != "COMMANDLINE" or getattr(one, "rich_help_panel", "") == PANEL:
+            continue
+        if one.param_type_name == "argument":
+            arguments.append(value[0] if isinstance(value, list | tuple) and len(value) == 1 else value)
+        else:
+            options[one.name] = tuple(value) if isinstance(value, list) else value
+    made: Result = getattr(lunarsci, job_of(line))(*arguments, **options)
+    return made
 
 
 def said(arguments: list[str]) -> tuple[int, str]:
@@ -333,7 +362,7 @@ class Answers:
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
         names = [name for name in HALVES[self.half] if not name.startswith("write")]
         if metafunc.function.__name__.startswith("test_a_notebook"):
-            names = [name for name in names if name in NOTEBOOK]
+            names = [name for name in names if name in notebook_names()]
         if "name" in metafunc.fixturenames:
             metafunc.parametrize("name", names)
 
@@ -369,7 +398,7 @@ class Answers:
         monkeypatch.chdir(folder)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            found = NOTEBOOK[name]()
+            found = NOTEBOOK[name]() if name in NOTEBOOK else in_python(COMMANDS[name])
         printed = json.loads(Path("answers", f"{name}.json").read_text("utf-8"))
         made = json.loads(found.to_json(time=False))
         for part in ("schema", "result"):

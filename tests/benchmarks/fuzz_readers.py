@@ -23,6 +23,7 @@ import numpy as np
 
 from lunarsci.errors import LunarSciError
 from lunarsci.io.inputs import InputFile
+from lunarsci.registry import KINDS
 
 BETWEEN = b"\n--- next file ---\n"
 FORMER = Path(__file__).parents[1] / "former_results.json"
@@ -984,27 +985,33 @@ READ_BY_COMMAND = {
     "twin states track": f"track, {GROUND}",
 }
 """The same where a parameter of that name is another file in one command."""
+OF_KIND = {
+    **{"spectra": SPECTRA, "vnis": "VNIS products", "mgm": "start of a fit", "camera": READ_BY["sources"]},
+    **{"zones": "keep-outs", "soil map": "soil map", "slips": "record", "soils": "soil samples", "picture": PICTURES},
+    **{"result": "results", "config": READ_BY["config"]},
+}
+"""The same by the kind of file that `lunarsci.registry.KINDS` says a command takes, where it is no name of `READ_BY`."""
 NO_FILE = {
-    *("path", "plot", "plane", "posterior", "save", "save_map", "save_terrain", "animate", "failed"),  # are written
-    *("field_path", "form", "columns", "memory", "scheduler"),  # the file of a scheduler is read by dask
-    *("assemblage", "band_minerals", "bands", "board", "bound", "composition", "dictionary", "fix", "fixes", "index",
-      "interpolation", "kind", "lateral_modulus", "mast", "modes", "name", "products", "sizes", "source", "spectrum",
-      "id", "sweep", "target", "tie", "time", "title", "units", "vary"),
-    *("annulus", "classes", "gardening", "gravity", "rock", "rock_life", "shadow_cost", "site", "slip", "sun"),
+    *("path", "plot", "plane", "animate", "failed"),  # are written
+    *("posterior", "assemblage", "dictionary", "interpolation", "kind", "lateral_modulus", "name", "sizes", "time", "title",
+      "gravity", "form", "scheduler"),
     *("images dem terrain", "spectra simulate soil"),
 }  # fmt: skip
-"""Parameters with a text that names no file to read; with the command where others of that name do."""
+"""Parameters with a text that names no file to read, and no metavar to say so; with the command where others of that
+name do."""
 
 
-def path_parameters() -> Iterator[str]:
-    """Every parameter of a command that takes a text, after the words of the command."""
+def path_parameters() -> Iterator[tuple[str, str | None]]:
+    """Every parameter of a command that takes a text, after the words of the command, and of an option the metavar."""
     from lunarsci.cli import command_line
+    from typer.models import OptionInfo
 
-    def walk(app: Any, words: str) -> Iterator[str]:
+    def walk(app: Any, words: str) -> Iterator[tuple[str, str | None]]:
         for one in app.registered_commands:
             for name, parameter in inspect.signature(one.callback).parameters.items():
                 if takes_text(parameter.annotation):
-                    yield f"{words}{one.name} {name}"
+                    about = get_args(parameter.annotation)[1]
+                    yield f"{words}{one.name} {name}", (about.metavar or "") if isinstance(about, OptionInfo) else None
         for group in app.registered_groups:
             yield from walk(group.typer_instance, f"{words}{group.name} ")
 
@@ -1018,14 +1025,24 @@ def takes_text(kind: Any) -> bool:
     return kind in (str, Path) or any(takes_text(part) for part in parts)
 
 
-def readers_of(parameter: str) -> list[str] | None:
-    """Names of the readers that its file comes to; none where it names no file, None where nothing is declared."""
+def readers_of(parameter: str, metavar: str | None) -> list[str] | None:
+    """Names of the readers that its file comes to; none where it names no file, None where nothing is declared.
+
+    An option is declared by its metavar, too, where this does not say FILE, and one that begins with `save` is written.
+    """
     name = parameter.rpartition(" ")[2]
     if parameter in READ_BY_COMMAND:
         return READ_BY_COMMAND[parameter].split(", ")
     if parameter in NO_FILE or name in NO_FILE:
         return []
-    return READ_BY[name].split(", ") if name in READ_BY else None
+    if name in READ_BY:
+        return READ_BY[name].split(", ")
+    if name.startswith("save") or (metavar and "FILE" not in metavar):
+        return []
+    words = parameter.rpartition(" ")[0]
+    takes = words if metavar is None else f"{words} --{name.replace('_', '-')}"
+    kinds = [kind for kind, one in KINDS.items() if takes in one.commands]
+    return [reader for kind in kinds for reader in OF_KIND.get(kind, READ_BY.get(kind, kind)).split(", ")] or None
 
 
 def readers() -> dict[str, Reader]:

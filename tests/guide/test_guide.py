@@ -20,10 +20,10 @@ from lunarsci.guide.cite import REFERENCE, SEVERAL, CitedSources, cite, referenc
 from lunarsci.guide.cite import _cited as cite_of
 from lunarsci.guide.info import CONTENTS, CSV_COLUMNS, MAGIC, SUFFIXES, TOML_KEYS, info
 from lunarsci.guide.template import KINDS as TEMPLATES
-from lunarsci.registry import KINDS
 from lunarsci.guide.template import described, template
 from lunarsci.io.inputs import InputFile
 from lunarsci.provenance import Provenance, document, to_json
+from lunarsci.registry import KINDS
 from lunarsci.regolith.compare import reference_soils
 from lunarsci.regolith.prior import default_prior, read_prior
 from lunarsci.regolith.soil import read_soil

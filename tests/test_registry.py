@@ -1,0 +1,216 @@
+"""A new command, and a new format of spectra, are known everywhere by their own files and a word in the registry.
+
+`python tests/test_registry.py --write` renews `lunarsci/__init__.pyi`.
+"""
+
+import importlib
+import importlib.util
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from textwrap import dedent
+
+import lunarsci.cli.images
+import pytest
+from former import in_python
+from fuzz_readers import path_parameters, readers_of
+from lunarsci.cli import main
+
+import lunarsci.images.jobs
+from lunarsci import cli, registry
+from lunarsci.guide.info import info
+from lunarsci.pages.job import report
+
+STUB = Path(lunarsci.__file__).with_suffix(".pyi")
+REQUEST = '''
+    """What `images relief` can be asked."""
+
+    from dataclasses import dataclass
+
+
+    @dataclass(frozen=True, slots=True, kw_only=True)
+    class ReliefRequest:
+        """Of which heights the relief is.
+
+        Attributes
+        ----------
+        above : Heights to count from, in m.
+        """
+
+        above: float = 0.0
+    '''
+JOB = '''
+    """The range of heights of a terrain, as a job."""
+
+    from collections.abc import Iterator, Mapping, Sequence
+    from dataclasses import dataclass
+    from typing import Any
+
+    from matplotlib.figure import Figure
+
+    from lunarsci.images.jobs.relief_request import ReliefRequest
+    from lunarsci.io.inputs import InputFile, Source, read_input
+    from lunarsci.io.tables import read_csv_table
+    from lunarsci.options import request_of
+    from lunarsci.result import MadeFrom, Result, job
+
+
+    @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+    class TerrainRelief(Result):
+        """A range of heights. [m]"""
+
+        schema = "images-relief/1"
+        page_title = "Relief"
+        source: InputFile
+        relief_m: float
+
+        @property
+        def made_from(self) -> MadeFrom:
+            return MadeFrom(inputs={self.source.name: self.source.sha256}, sources=("Nobody (2000), J. Nothing 1, 2",))
+
+        def to_dict(self) -> dict[str, Any]:
+            return {"relief_m": self.relief_m}
+
+        def rows(self) -> Sequence[Mapping[str, Any]]:
+            return [self.to_dict()]
+
+        def figures(self) -> Iterator[Figure]:
+            figure = Figure()
+            figure.subplots().bar(["relief"], [self.relief_m])
+            yield figure
+
+        @staticmethod
+        def page_answer(result: Mapping[str, Any]) -> str:
+            return f"Heights range over {result['relief_m']:g} m."
+
+
+    @job
+    def relief(ground: Source, request: ReliefRequest | None = None, **options: Any) -> TerrainRelief:
+        """The range of heights of a terrain above some height."""
+        asked = request_of(ReliefRequest, request, options)
+        source = read_input(ground)
+        heights = read_csv_table(source)["height_m"]
+        return TerrainRelief(source=source, relief_m=float(heights.max()) - max(asked.above, float(heights.min())))
+    '''
+COMMAND = '''
+    """`lunarsci images relief`: the range of heights of a terrain."""
+
+    from typing import TYPE_CHECKING, Annotated
+
+    import typer
+
+    from lunarsci.images.jobs.relief_request import ReliefRequest
+
+    from ..shared.command import command
+    from ..shared.emit import Report
+    from ..shared.options import option
+    from ..shared.table import TextTable
+
+    if TYPE_CHECKING:
+        from lunarsci.images.jobs.relief import TerrainRelief
+
+    OPTIONS = {"above": option(metavar="M")}
+    EXAMPLES = ("lunarsci images relief ground.csv", "lunarsci images relief ground.csv --above 0.1")
+
+
+    def add_to(app: typer.Typer) -> None:
+        """Register the command."""
+        command(app, "relief", examples=EXAMPLES, request=ReliefRequest, options=OPTIONS)(relief)
+
+
+    def relief(ground: Annotated[str, typer.Argument(metavar="TERRAIN", help="Heights.")], request: ReliefRequest) -> Report:
+        """The range of heights of a terrain.
+
+        Of those above a height with --above.
+        """
+        from lunarsci.images.jobs.relief import relief
+
+        result = relief(ground, request)
+        return Report(result, result_tables(result))
+
+
+    def result_tables(result: "TerrainRelief") -> list[TextTable]:
+        return [TextTable(["relief [m]"], [[f"{result.relief_m:g}"]])]
+    '''
+
+
+def stub() -> str:
+    """`__init__.pyi`: every function from where it is."""
+    places = {
+        name: f"lunarsci.{part}.jobs.{name}" for part in registry.COMMANDS for name in registry.functions_of(part)
+    }
+    lines = [
+        f"from {module} import {name} as {name}"
+        for name, module in sorted({**places, **lunarsci._ELSEWHERE}.items(), key=lambda one: one[1])
+    ]
+    return "\n".join([*lines, "", "JOBS: dict[str, tuple[str, ...]]", "__version__: str", ""])
+
+
+def test_type_checkers_know_every_function() -> None:
+    assert STUB.read_text("utf-8") == stub(), "python tests/test_registry.py --write"
+
+
+def test_every_command_and_every_job_is_where_the_registry_says() -> None:
+    for part, commands in registry.COMMANDS.items():
+        for name, function in commands.items():
+            module = importlib.import_module(f"lunarsci.{part}.jobs.{function or name}")
+            assert not function or callable(getattr(module, function))
+            assert importlib.util.find_spec(f"lunarsci.cli.{part}.{name}") is not None
+
+
+@pytest.fixture
+def newcomer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """`lunarsci images relief`: three files of its own, a word in `COMMANDS`, and one in `KINDS`. A terrain to try."""
+    for package, files in (
+        (lunarsci.cli.images, {"relief.py": COMMAND}),
+        (lunarsci.images.jobs, {"relief.py": JOB, "relief_request.py": REQUEST}),
+    ):
+        folder = tmp_path / package.__name__
+        folder.mkdir()
+        for name, text in files.items():
+            (folder / name).write_text(dedent(text), "utf-8")
+        monkeypatch.setattr(package, "__path__", [*package.__path__, str(folder)])
+    terrain = registry.KINDS["terrain"]
+    monkeypatch.setitem(registry.COMMANDS["images"], "relief", "relief")
+    monkeypatch.setitem(
+        registry.KINDS, "terrain", registry.KindOfFile(terrain.title, (*terrain.commands, "images relief"))
+    )
+    cli._program.cache_clear()
+    monkeypatch.chdir(tmp_path)
+    ground = tmp_path / "ground.csv"
+    ground.write_text("x_m,y_m,height_m\n" + "".join(f"{x},{y},{x / 4}\n" for x in range(4) for y in range(3)))
+    yield ground
+    cli._program.cache_clear()
+    for name in [name for name in sys.modules if name.endswith((".relief", ".relief_request")) and ".images." in name]:
+        del sys.modules[name]
+
+
+def test_a_new_command_is_known_everywhere(newcomer: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def printed(*arguments: str) -> str:
+        assert main([*arguments]) == 0, capsys.readouterr().err
+        return capsys.readouterr().out
+
+    assert "The range of heights of a terrain." in printed("images", "--help")
+    text = printed("images", "relief", "--help")
+    assert "Heights to count from, in m." in text and "--above" in text and "lunarsci images relief ground.csv" in text
+    document = json.loads(printed("images", "relief", "ground.csv", "--above", "0.1", "--json"))
+    assert document["result"] == {"relief_m": pytest.approx(0.65)} and document["schema"] == "lunarsci/images-relief/1"
+    assert printed("images", "relief", "ground.csv", "--csv") == "relief_m\n0.75\n"
+    assert main(["images", "relief", "ground.csv", "-o", "relief.json", "--plot", "relief.png"]) == 0
+    assert "Heights range over 0.75 m." in capsys.readouterr().err
+    assert Path("relief.png").read_bytes().startswith(b"\x89PNG")
+    (section,) = report("relief.json").rows()
+    assert (section["title"], section["answer"]) == ("Relief", "Heights range over 0.75 m.")
+    assert "@misc{nobody2000," in printed("cite", "relief.json")
+    assert "lunarsci images relief" in info(newcomer).commands
+    notebook = in_python("images relief ground.csv --above 0.1 --json")
+    assert notebook.to_dict() == document["result"] and notebook.plot().axes
+    assert f"{notebook}\n" == printed("images", "relief", "ground.csv", "--above", "0.1")
+    assert "above : Heights" in (lunarsci.relief.__doc__ or "")
+    declared = {name: readers_of(name, metavar) for name, metavar in path_parameters() if "images relief " in name}
+    assert None not in declared.values() and "terrain .csv" in (declared["images relief ground"] or ())
+
+
+if __name__ == "__main__" and "--write" in sys.argv:
+    STUB.write_text(stub(), "utf-8")
