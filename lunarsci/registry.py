@@ -54,6 +54,42 @@ where there is none. A command is the module `cli/PART/COMMAND.py`; its job is t
 `lunarsci/PART/jobs`, or of the command's."""
 
 
+@dataclass(frozen=True, slots=True)
+class FormatOfSpectra:
+    """A format of reflectance spectra; functions are `module:name` in `lunarsci/spectra/readers`.
+
+    Attributes
+    ----------
+    title : in the help of commands.
+    read : from an `InputFile` to a `SpectrumTable`.
+    recognises : from an `InputFile` and its beginning as text, '' where it is none, to whether the file is of this
+        format; '' for the one that takes what no other does.
+    spectra_alone : whether such files hold nothing but spectra, so that `lunarsci info` need not look at columns.
+    """
+
+    title: str
+    read: str
+    recognises: str = ""
+    spectra_alone: bool = False
+
+
+FORMATS: dict[str, FormatOfSpectra] = {
+    "fits": FormatOfSpectra("FITS table", "astropy_tables:read_fits", "astropy_tables:is_fits"),
+    "excel": FormatOfSpectra("Excel", "text:read_excel", "text:is_excel"),
+    "envi": FormatOfSpectra("ENVI library (.sli, .hdr)", "envi:read_envi", "envi:is_envi", spectra_alone=True),
+    "pds": FormatOfSpectra("PDS", "pds:read_pds", "pds:is_pds"),
+    "ecsv": FormatOfSpectra("ECSV", "astropy_tables:read_ecsv", "astropy_tables:is_ecsv"),
+    "jcamp": FormatOfSpectra("JCAMP-DX", "libraries:read_jcamp", "libraries:is_jcamp", spectra_alone=True),
+    "json": FormatOfSpectra("JSON", "libraries:read_json", "libraries:is_json"),
+    "votable": FormatOfSpectra("VOTable", "libraries:read_votable", "libraries:is_votable"),
+    "mrt": FormatOfSpectra("tables of the AAS", "libraries:read_mrt", "libraries:is_mrt"),
+    "splib": FormatOfSpectra("USGS splib07 text", "libraries:read_splib", "libraries:is_splib", spectra_alone=True),
+    "relab": FormatOfSpectra("RELAB .tab/.asc", "libraries:read_relab", "libraries:is_relab", spectra_alone=True),
+    "text": FormatOfSpectra("CSV or text (first column wavelength, then spectra)", "text:read_text"),
+}
+"""In the order in which a file is tried; the help has them the other way round."""
+
+
 def functions_of(part: str) -> tuple[str, ...]:
     """The functions of `import lunarsci` for a part, in the order of its commands."""
     return tuple(filter(None, COMMANDS[part].values()))

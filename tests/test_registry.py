@@ -18,9 +18,11 @@ from fuzz_readers import path_parameters, readers_of
 from lunarsci.cli import main
 
 import lunarsci.images.jobs
+import lunarsci.spectra.readers
 from lunarsci import cli, registry
 from lunarsci.guide.info import info
 from lunarsci.pages.job import report
+from lunarsci.spectra.readers.dispatch import read_spectra
 
 STUB = Path(lunarsci.__file__).with_suffix(".pyi")
 REQUEST = '''
@@ -119,7 +121,10 @@ COMMAND = '''
         command(app, "relief", examples=EXAMPLES, request=ReliefRequest, options=OPTIONS)(relief)
 
 
-    def relief(ground: Annotated[str, typer.Argument(metavar="TERRAIN", help="Heights.")], request: ReliefRequest) -> Report:
+    Ground = Annotated[str, typer.Argument(metavar="TERRAIN", help="Heights.")]
+
+
+    def relief(ground: Ground, request: ReliefRequest) -> Report:
         """The range of heights of a terrain.
 
         Of those above a height with --above.
@@ -210,6 +215,54 @@ def test_a_new_command_is_known_everywhere(newcomer: Path, capsys: pytest.Captur
     assert "above : Heights" in (lunarsci.relief.__doc__ or "")
     declared = {name: readers_of(name, metavar) for name, metavar in path_parameters() if "images relief " in name}
     assert None not in declared.values() and "terrain .csv" in (declared["images relief ground"] or ())
+
+
+PLAIN = """
+    import io
+
+    import numpy as np
+
+    from lunarsci.io.inputs import InputFile
+    from lunarsci.spectra.readers.table import Column, SpectrumTable
+
+
+    def is_plain(source: InputFile, start: str) -> bool:
+        return start.startswith("PLAIN")
+
+
+    def read_plain(source: InputFile) -> SpectrumTable:
+        wavelength, reflectance = np.loadtxt(io.BytesIO(source.data), skiprows=1, unpack=True)
+        places = tuple(f"line {number}" for number in range(2, 2 + len(wavelength)))
+        spectra = ((Column("rock", reflectance, 2), None),)
+        return SpectrumTable(source, "plain", Column("wavelength", wavelength, 1, "nm"), spectra, places)
+    """
+
+
+def test_a_new_format_is_known_everywhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A file of its own, and a row in `FORMATS`."""
+    (tmp_path / "plain.py").write_text(dedent(PLAIN), "utf-8")
+    monkeypatch.setattr(lunarsci.spectra.readers, "__path__", [*lunarsci.spectra.readers.__path__, str(tmp_path)])
+    plain = registry.FormatOfSpectra("PLAIN", "plain:read_plain", "plain:is_plain", spectra_alone=True)
+    monkeypatch.setattr("lunarsci.spectra.readers.dispatch.FORMATS", formats := {"plain": plain} | registry.FORMATS)
+    monkeypatch.setattr("lunarsci.guide.info.FORMATS", formats)
+    file = tmp_path / "rock.dat"
+    file.write_text("PLAIN\n" + "".join(f"{nm} {0.2 + nm * 1e-5:.5f}\n" for nm in range(400, 2500, 10)), "utf-8")
+    (spectrum,) = read_spectra(str(file))
+    assert spectrum.id == "rock" and spectrum.metadata["format"] == "plain" and spectrum.wavelength_nm[0] == 400
+    assert info(file).kind == "spectra" and "lunarsci spectra fit" in info(file).commands
+    assert main(["spectra", "indices", str(file), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["result"]["spectra"][0]["id"] == "rock"
+    sys.modules.pop("lunarsci.spectra.readers.plain")
+
+
+def test_the_help_and_the_page_name_every_format(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["spectra", "bands", "--help"]) == 0
+    text = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    page = (Path(__file__).parents[1] / "docs/howto/own-spectra.md").read_text("utf-8")
+    for one in registry.FORMATS.values():
+        assert one.title in text and one.title.split()[-1 if one.title.startswith("tables") else 0] in page, one.title
 
 
 if __name__ == "__main__" and "--write" in sys.argv:

@@ -29,11 +29,12 @@ from lunarsci.io.inputs import (
 )
 from lunarsci.io.tables import separator_of
 from lunarsci.names import some_of
-from lunarsci.registry import KINDS, TAKEN_BY, WHEEL
+from lunarsci.registry import FORMATS, KINDS, TAKEN_BY, WHEEL
 from lunarsci.result import MadeFrom, Result
 from lunarsci.rovers import read_rover, rover_names
 from lunarsci.spectra.readers.arrangements import header_channels
 from lunarsci.spectra.readers.columns import is_wavelength
+from lunarsci.spectra.readers.dispatch import read_spectra, recognised
 from lunarsci.spectra.readers.pds import is_pds_label, read_pds_label
 
 if TYPE_CHECKING:
@@ -148,8 +149,6 @@ def _listed(names: Any) -> str:
 
 
 def _spectra(file: InputFile) -> Mapping[str, Any]:
-    from lunarsci.spectra.readers.dispatch import read_spectra
-
     rows = read_spectra(file)
     first = rows[0]
     return {
@@ -164,7 +163,6 @@ def _spectra(file: InputFile) -> Mapping[str, Any]:
 
 def _cube(file: InputFile) -> Mapping[str, Any]:
     from lunarsci.spectra.cubes.rasters import M3_NAME, open_pds
-    from lunarsci.spectra.readers.pds import is_pds_label, read_pds_label
 
     if not is_pds_label(file):
         m3 = M3_NAME.search(file.name)
@@ -617,6 +615,8 @@ def kind_of(file: InputFile) -> str:
         return _kind_of_json(file)
     if is_pds_label(file):
         return "cube" if read_pds_label(file).images else "spectra"
+    if (format := recognised(file, text.lstrip())) and FORMATS[format].spectra_alone:
+        return "spectra"
     return _kind_of_table(file.name, text, suffix)
 
 

@@ -990,11 +990,11 @@ OF_KIND = {
     **{"zones": "keep-outs", "soil map": "soil map", "slips": "record", "soils": "soil samples", "picture": PICTURES},
     **{"result": "results", "config": READ_BY["config"]},
 }
-"""The same by the kind of file that `lunarsci.registry.KINDS` says a command takes, where it is no name of `READ_BY`."""
+"""The same by the kind of file that a command takes, as `lunarsci.registry.KINDS` says, if that is not in `READ_BY`."""
 NO_FILE = {
     *("path", "plot", "plane", "animate", "failed"),  # are written
-    *("posterior", "assemblage", "dictionary", "interpolation", "kind", "lateral_modulus", "name", "sizes", "time", "title",
-      "gravity", "form", "scheduler"),
+    *("posterior", "assemblage", "dictionary", "interpolation", "kind", "lateral_modulus", "name", "sizes", "time",
+      "title", "gravity", "form", "scheduler"),
     *("images dem terrain", "spectra simulate soil"),
 }  # fmt: skip
 """Parameters with a text that names no file to read, and no metavar to say so; with the command where others of that

@@ -26,6 +26,14 @@ _DIMENSIONLESS = {"fraction", "reflectance", "i/f", "unitless", "dimensionless",
 _PERCENT = {"percent", "per cent", "pct", "%"}
 
 
+def is_fits(source: InputFile, start: str) -> bool:
+    return source.data.startswith(b"SIMPLE  =")
+
+
+def is_ecsv(source: InputFile, start: str) -> bool:
+    return start.startswith("# %ECSV")
+
+
 def spectrum_table(table: Any, source: InputFile, format: str) -> SpectrumTable:
     """Give the columns of an `astropy.table.Table` their roles. Raises DataError for these and for units."""
     names = [str(name) for name in table.colnames]

@@ -3,7 +3,8 @@
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeAlias, get_args
 
@@ -13,23 +14,12 @@ from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, warn
 from lunarsci.io import inputs
 from lunarsci.io.inputs import InputFile, read_input
+from lunarsci.registry import FORMATS
 from lunarsci.spectra.collection import SpectrumRows
-from lunarsci.spectra.readers.astropy_tables import read_ecsv, read_fits
 from lunarsci.spectra.readers.columns import as_reflectance, only_spectra, spectrum_ids, with_absolute_errors
 from lunarsci.spectra.readers.detectors import joined
-from lunarsci.spectra.readers.envi import looks_like_envi, read_envi
-from lunarsci.spectra.readers.libraries import (
-    looks_like,
-    looks_like_relab,
-    looks_like_splib,
-    read_jcamp,
-    read_json,
-    read_relab,
-    read_splib,
-    read_with_astropy,
-)
 from lunarsci.spectra.readers.likely import markers_of, without_deleted, without_markers
-from lunarsci.spectra.readers.pds import is_pds_label, label_of_table, read_pds
+from lunarsci.spectra.readers.pds import label_of_table
 from lunarsci.spectra.readers.table import (
     SCALES,
     ReflectanceChoice,
@@ -44,24 +34,15 @@ from lunarsci.spectra.readers.table import (
     unit_by_size,
     wavelength_nm,
 )
-from lunarsci.spectra.readers.text import read_excel, read_text
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.calibrate import calibrate
 from lunarsci.spectra.vnis.label import product_name
 from lunarsci.spectra.vnis.observation import read_observation
 
-_READERS: dict[str, Callable[[InputFile], SpectrumTable]] = {
-    **{"text": read_text, "relab": read_relab, "envi": read_envi, "splib": read_splib, "excel": read_excel},
-    **{"jcamp": read_jcamp, "json": read_json, "ecsv": read_ecsv, "fits": read_fits, "pds": read_pds},
-    **{name: partial(read_with_astropy, format=name) for name in ("votable", "mrt")},
-}
-FORMATS = ("ecsv", "text", "relab", "fits", "envi", "splib", "pds", "excel", "jcamp", "json", "votable", "mrt")
 _PACKED = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip", b"BZh": "bzip2", b"\xfd7zXZ": "xz", b"\x28\xb5\x2f\xfd": "zstd"}
 _PACKED = {magic: f"compressed ({kind}); unpack it first" for magic, kind in _PACKED.items()}
 _OTHERS = {b"\x89HDF": "an HDF5 or netCDF-4 file", b"CDF": "a netCDF file", b"%PDF": "a PDF", b"\x89PNG": "a picture"}
 _FOREIGN = {magic: f"{kind}, not a table of spectra; save them as CSV or ECSV" for magic, kind in _OTHERS.items()}
-_FITS = b"SIMPLE  ="
-_RELAB_SUFFIXES = {".tab", ".asc"}
 _FITS_SUFFIXES = {".fits", ".fit", ".fts"}
 
 
@@ -81,7 +62,7 @@ def read_spectra(
     ----------
     input : a file already read, or a path, or '-' for standard input.
     wavelength_unit, reflectance_unit : used where the file states no unit, or one that its values contradict.
-    format : one of `FORMATS`; told from content and suffix if left out.
+    format : one of `lunarsci.registry.FORMATS`; told from content and suffix if left out.
 
     Raises
     ------
@@ -90,13 +71,13 @@ def read_spectra(
     """
     _check("wavelength unit", wavelength_unit, get_args(WavelengthUnit))
     _check("reflectance unit", reflectance_unit, get_args(ReflectanceUnit))
-    _check("format", format, FORMATS)
+    _check("format", format, tuple(FORMATS))
     source = read_input(input) if isinstance(input, str) else input
     if product_name(source.name) is not None:
         return SpectrumRows.of(_calibrated(source.name))
     if format is None and (label := label_of_table(source)) is not None:
         source = label
-    table = _READERS[format or _format_of(source)](source)
+    table: SpectrumTable = _function(FORMATS[format or format_of(source)].read)(source)
     return spectra_of(table, StatedUnits(wavelength_unit, reflectance_unit))
 
 
@@ -118,38 +99,50 @@ def _check(what: str, value: str | None, allowed: tuple[str, ...]) -> None:
         raise ParameterError(f"{what} '{value}' is not known; use one of {', '.join(allowed)}")
 
 
-def _format_of(source: InputFile) -> str:
+def format_of(source: InputFile) -> str:
+    """The format of a file, one of `lunarsci.registry.FORMATS`. Raises DataError for one that is no spectra at all."""
+    unreadable, start = None, ""
+    try:
+        # The reader decodes the text again and says what there is to say about it.
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", LunarSciWarning)
+            start = inputs.beginning(source).lstrip()
+    except DataError as error:
+        unreadable = error
+    if name := recognised(source, start):
+        return name
+    _refuse_others(source, start)
+    if unreadable is not None:
+        raise unreadable
+    return next(name for name, one in FORMATS.items() if not one.recognises)
+
+
+def recognised(source: InputFile, start: str) -> str:
+    """The first of `FORMATS` that files with such a beginning have; '' where it is none but text."""
+    formats = ((name, one.recognises) for name, one in FORMATS.items() if one.recognises)
+    return next((name for name, place in formats if _function(place)(source, start)), "")
+
+
+def _refuse_others(source: InputFile, start: str) -> None:
     suffix = Path(source.name).suffix.lower()
-    if source.data.startswith(_FITS):
-        return "fits"
     if suffix in _FITS_SUFFIXES:
         raise DataError(
             f"{source.name}: is named FITS but does not begin with 'SIMPLE  ='; fetch it again or rename it"
         )
-    if source.data.startswith(b"PK\x03\x04") and (b"xl/" in source.data or suffix == ".xlsx"):
-        return "excel"
     for magic, kind in (_PACKED | _FOREIGN).items():
         if source.data.startswith(magic):
             raise DataError(f"{source.name}: is {kind}")
-    if looks_like_envi(source):
-        return "envi"
-    if is_pds_label(source):
-        return "pds"
-    # The reader decodes the text again and says what there is to say about it.
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", LunarSciWarning)
-        text = inputs.beginning(source).lstrip()
-    if text.startswith("# %ECSV"):
-        return "ecsv"
     if suffix == ".ecsv":
         raise DataError(f"{source.name}: is named ECSV but has no '# %ECSV' line; rename it .csv, or write it as ECSV")
-    if exchange := looks_like(text):
-        return exchange
-    if text.startswith("<"):
+    if start.startswith("<"):
         raise DataError(f"{source.name}: is an HTML or XML page, not a table (an error page saved?); fetch it again")
-    if looks_like_splib(text):
-        return "splib"
-    return "relab" if looks_like_relab(text, named_so=suffix in _RELAB_SUFFIXES) else "text"
+
+
+@cache
+def _function(place: str) -> Callable[..., Any]:
+    module, _, name = place.partition(":")
+    function: Callable[..., Any] = getattr(import_module(f"lunarsci.spectra.readers.{module}"), name)
+    return function
 
 
 _REMARKS = {

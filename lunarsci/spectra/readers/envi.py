@@ -159,7 +159,7 @@ _NOT_SPECTRA = re.compile(r"(wavelengths?|bandpass|resolution|fwhm)\b", re.IGNOR
 _MOST_VALUES = 1_000_000_000
 
 
-def looks_like_envi(source: InputFile) -> bool:
+def is_envi(source: InputFile, start: str) -> bool:
     """Whether a file is one of the two of an ENVI library: by its suffix, or as a header by its first line."""
     return Path(source.name).suffix.lower() in DATA_SUFFIXES or is_header(source)
 

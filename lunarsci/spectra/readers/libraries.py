@@ -13,6 +13,7 @@ import re
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from lunarsci.spectra.readers.table import Column, SpectrumTable, only_percent
 from lunarsci.spectra.rows import Row, check_widths, number, numbers, quoted, split_lines
 
 _COUNT = re.compile(r"[0-9]+")
+_SUFFIXES = {".tab", ".asc"}
 _SPLIB_HEADER = re.compile(r"\s*(splib0[67]\w*|s0[67]\w*)\s+Record=(\d+):\s*(\S.*?)\s*$", re.IGNORECASE)
 _OTHER_FILE = re.compile(r"wavelengths?|bandpass", re.IGNORECASE)
 _FILE_NAME = re.compile(r"(splib0[67]|s0[67])\w*_(wavelengths|bandpass)", re.IGNORECASE)
@@ -37,12 +39,13 @@ _SPECTROMETERS = ("ASD", "BECK", "NIC4", "AVIRIS")
 _MICROMETRES = "um"
 
 
-def looks_like_relab(text: str, *, named_so: bool) -> bool:
+def is_relab(source: InputFile, start: str) -> bool:
     """Whether the first line is a whole number alone, and the next has two or three numbers between blanks.
 
-    The first line is enough for a file that is `named_so`.
+    The first line is enough for a file that is named so.
     """
-    lines = [line for _, line in split_lines(text[:2000])[0][:2]]
+    named_so = Path(source.name).suffix.lower() in _SUFFIXES
+    lines = [line for _, line in split_lines(start[:2000])[0][:2]]
     if not lines or not _COUNT.fullmatch(lines[0]):
         return False
     fields = lines[1].split() if len(lines) > 1 else []
@@ -108,9 +111,9 @@ class _Record:
         return next((family for word in words for family in _SPECTROMETERS if word.startswith(family)), None)
 
 
-def looks_like_splib(text: str) -> bool:
+def is_splib(source: InputFile, start: str) -> bool:
     """Whether the first line is a header of the library: 'splib07a Record=5932: Kaolinite CM5  BECKb AREF'."""
-    return _SPLIB_HEADER.match(text.lstrip("\n\r").split("\n", 1)[0]) is not None
+    return _SPLIB_HEADER.match(start.lstrip("\n\r").split("\n", 1)[0]) is not None
 
 
 def without_wavelength_files(names: Sequence[str]) -> list[str]:
@@ -172,7 +175,7 @@ def _candidates(source: InputFile) -> list[tuple[InputFile, _Record]]:
     pairs = []
     for path in sorted([*folder.glob("*_[Ww]avelengths_*.txt"), *(folder / "..").glob("*_[Ww]avelengths_*.txt")]):
         file = read_input(str(path))
-        if looks_like_splib(file.data[:500].decode("latin-1")):
+        if is_splib(file, file.data[:500].decode("latin-1")):
             pairs.append((file, _record(file)))
     return pairs
 
@@ -192,18 +195,22 @@ _SQUEEZED, _DIFFERENCE, _DUPLICATE = "@ABCDEFGHIabcdefghi", "%JKLMNOPQRjklmnopqr
 MOST_POINTS = 10_000_000
 """Of a spectrum; assumed."""
 _TABULAR = ("XYDATA", "XYPOINTS")
-LIKE_JCAMP, LIKE_MRT = re.compile(r"##\s*(TITLE|JCAMP)", re.IGNORECASE), "Byte-by-byte Description of file"
 
 
-def looks_like(text: str) -> str | None:
-    """Which of these a text is by its beginning: 'jcamp', 'json', 'votable' or 'mrt', else None."""
-    if LIKE_JCAMP.match(text):
-        return "jcamp"
-    if text[:1] in "{[" and text:
-        return "json"
-    if text.startswith("<") and re.search(r"<(\w+:)?VOTABLE\b", text[:2000]):
-        return "votable"
-    return "mrt" if LIKE_MRT in text[:20_000] else None
+def is_jcamp(source: InputFile, start: str) -> bool:
+    return re.match(r"##\s*(TITLE|JCAMP)", start, re.IGNORECASE) is not None
+
+
+def is_json(source: InputFile, start: str) -> bool:
+    return start.startswith(("{", "["))
+
+
+def is_votable(source: InputFile, start: str) -> bool:
+    return start.startswith("<") and re.search(r"<(\w+:)?VOTABLE\b", start[:2000]) is not None
+
+
+def is_mrt(source: InputFile, start: str) -> bool:
+    return "Byte-by-byte Description of file" in start[:20_000]
 
 
 def read_jcamp(source: InputFile) -> SpectrumTable:
@@ -348,3 +355,7 @@ def read_with_astropy(source: InputFile, format: str) -> SpectrumTable:
         for name in [name for name in table.colnames if name.startswith("e_") and name[2:] in table.colnames]:
             table.rename_column(name, f"{name[2:]}_sigma")
     return spectrum_table(table, source, format)
+
+
+read_votable = partial(read_with_astropy, format="votable")
+read_mrt = partial(read_with_astropy, format="mrt")

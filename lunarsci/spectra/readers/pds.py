@@ -101,6 +101,10 @@ def is_pds_label(source: InputFile) -> bool:
     return b"PDS_VERSION_ID" in start or b"Product_Observational" in start
 
 
+def is_pds(source: InputFile, start: str) -> bool:
+    return is_pds_label(source)
+
+
 def read_pds_label(source: InputFile) -> PdsLabel:
     """What a label describes. Raises DataError for one that is broken, or describes neither table nor image."""
     if b"PDS_VERSION_ID" in source.data[:4000]:

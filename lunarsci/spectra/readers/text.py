@@ -55,6 +55,10 @@ MOST_UNPACKED = 1 << 28
 """Bytes of an Excel workbook when it is unpacked; assumed."""
 
 
+def is_excel(source: InputFile, start: str) -> bool:
+    return source.data.startswith(b"PK\x03\x04") and (b"xl/" in source.data or source.name.lower().endswith(".xlsx"))
+
+
 def read_excel(source: InputFile) -> SpectrumTable:
     """Read the first sheet of an Excel workbook that has more than one row and column, as a table of text.
 
