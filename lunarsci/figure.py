@@ -10,8 +10,6 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from lunarsci.errors import LunarSciWarning, ParameterError
 from lunarsci.printable import printable
 
@@ -173,7 +171,7 @@ def synthetic_title(text: str, synthetic: bool) -> str:
 AWAY_PT, NEAR_PT, LARGE_PT = (4.0, 10.0, 18.0, 28.0, 40.0), 8.0, 4.5
 """Gaps between a point and its name that are tried, beyond which a thin line joins them, and half the size of markers
 that no name may hide. [points]"""
-DIRECTIONS = np.radians([30, -30, 150, -150, 90, -90, 0, 180, 60, -60, 120, -120])
+DIRECTIONS_DEG = (30, -30, 150, -150, 90, -90, 0, 180, 60, -60, 120, -120)
 
 
 def name_points(
@@ -188,6 +186,7 @@ def name_points(
     clear_pt : half the size of the points' own markers, where these are large. [points]
     look : of the text.
     """
+    import numpy as np
     from matplotlib.transforms import Bbox
 
     figure.draw_without_rendering()
@@ -213,6 +212,7 @@ def _marked(axes: Any) -> Iterator[Any]:
 
 
 def _name(axes: Any, text: str, where: Any, dots: Any, taken: list[Any], look: Mapping[str, Any]) -> None:
+    import numpy as np
     from matplotlib.transforms import Bbox
 
     point, place, clear = where
@@ -221,7 +221,7 @@ def _name(axes: Any, text: str, where: Any, dots: Any, taken: list[Any], look: M
     trial.remove()
     best: tuple[float, Any, float, Any] | None = None
     for away in AWAY_PT:
-        for angle in DIRECTIONS:
+        for angle in np.radians(DIRECTIONS_DEG):
             way = np.array([np.cos(angle), np.sin(angle)])
             corner = place + scale * (away + clear) * way + 0.5 * size * (np.clip(1.6 * way, -1, 1) - 1)
             box = Bbox.from_bounds(*corner, *size)

@@ -18,8 +18,6 @@ from itertools import islice
 from types import FrameType
 from typing import TYPE_CHECKING, Any, ClassVar, ParamSpec, TypeVar, get_args
 
-import numpy as np
-
 from lunarsci.errors import Failure, LunarSciWarning, ParameterError
 from lunarsci.figure import styled
 from lunarsci.options import options_text, request_of
@@ -338,6 +336,7 @@ def _heard(caller: FrameType) -> Iterator[list[str]]:
 
 
 def _column(name: str, cells: list[Any]) -> Any:
+    import numpy as np
     from astropy import units
 
     present = [cell for cell in cells if cell is not None]

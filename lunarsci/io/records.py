@@ -16,8 +16,6 @@ from typing import Any, TypeAlias, overload
 import numpy as np
 import numpy.typing as npt
 import orjson
-import pyarrow as pa
-from pyarrow import csv
 
 from lunarsci.arrays import BoolArray, IntArray, spans
 from lunarsci.printable import cell, printable
@@ -244,9 +242,12 @@ def _rows(columns: Iterable[Any], size: int) -> Iterable[tuple[Any, ...]]:
 
 def _csv_text(records: Records) -> bytes:
     """Rows without a header; texts are quoted where one of them has a comma, a quote or a line break in it."""
+    import pyarrow as pa
+    from pyarrow import compute, csv
+
     columns = [_arrow(column, len(records)) for _, column in _leaves(records.columns)]
     texts = [column for column in columns if pa.types.is_string(column.type)]
-    quoted = any(pa.compute.any(pa.compute.match_substring_regex(text, STRUCTURE)).as_py() for text in texts)
+    quoted = any(compute.any(compute.match_substring_regex(text, STRUCTURE)).as_py() for text in texts)
     text = io.BytesIO()
     how = csv.WriteOptions(include_header=False, quoting_style="needed" if quoted else "none")
     csv.write_csv(pa.table(columns, [str(number) for number in range(len(columns))]), text, how)
@@ -255,9 +256,12 @@ def _csv_text(records: Records) -> bytes:
 
 def _arrow(column: Any, size: int) -> Any:
     """A column of a table: numbers, true and false, or texts; what is missing or not finite is null."""
+    import pyarrow as pa
+    from pyarrow import compute
+
     if isinstance(column, Where):
         values = _arrow(column.column, size)
-        return pa.compute.if_else(pa.array(column.present), values, pa.scalar(None, values.type))
+        return compute.if_else(pa.array(column.present), values, pa.scalar(None, values.type))
     if isinstance(column, Codes):
         return _texts(column.values).take(pa.array(column.codes.astype(np.int64)))
     if isinstance(column, Same | str | None):
@@ -268,6 +272,8 @@ def _arrow(column: Any, size: int) -> Any:
 
 
 def _texts(values: Iterable[Any]) -> Any:
+    import pyarrow as pa
+
     return pa.array([_cell(plain(value)) for value in values], pa.string())
 
 

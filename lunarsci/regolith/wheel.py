@@ -17,7 +17,7 @@ Bulldozing = Literal["none", "hegedus", "wong"]
 SlipSinkageLaw = Literal["lyasko", "linear"]
 SHEAR_SIGNS: tuple[str, ...] = get_args(ShearSign)
 SLIP_SINKAGE_LAWS: tuple[str, ...] = get_args(SlipSinkageLaw)
-SHEAR_LAWS: tuple[str, ...] = get_args(ShearLaw)
+SHEAR_LAWS: tuple[ShearLaw, ...] = get_args(ShearLaw)
 BULLDOZING: tuple[str, ...] = get_args(Bulldozing)
 MAX_VALID_SLIP = 0.6
 """Slip ratio up to which the model holds: Ding et al. (2024), 10.1038/s41467-024-46233-8, Methods. [-]"""

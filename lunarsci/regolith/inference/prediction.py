@@ -27,7 +27,7 @@ from lunarsci.regolith.inference.problem import FORCES, forces_of_many, misfit_a
 from lunarsci.regolith.prior import PARAMETERS, Law, contact_prior, default_prior, values_of
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates, check_values, read_state_table
 from lunarsci.regolith.traction import DEEPEST
-from lunarsci.regolith.wheel import DENSITY_KG_M3, ContactModel, Wheel
+from lunarsci.regolith.wheel import DENSITY_KG_M3, SHEAR_LAWS, ContactModel, Wheel
 
 DRAWS = 200
 STEPS, SHALLOWEST = 24, 1e-4
@@ -289,7 +289,7 @@ def candidates(
     plain = ContactModel(density_kg_m3=density_kg_m3, gravity_m_s2=gravity_m_s2)
     laws = [WheelLaw(None, False), WheelLaw(plain, False), WheelLaw(plain, True)]
     if (np.abs(np.nan_to_num(states.values[:, 2])) > 0).any():
-        shared = [replace(plain, shear="combined"), replace(plain, shear="ellipse")]
+        shared = [replace(plain, shear=law) for law in SHEAR_LAWS if law != "separate"]
         laws += [WheelLaw(model, True) for model in shared]
         laws += [WheelLaw(replace(model, bulldozing="hegedus"), True) for model in shared]
     return laws

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import correlate1d, maximum_filter, uniform_filter, uniform_filter1d
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.compiled import compiled, each_in_threads
@@ -666,6 +665,8 @@ def _fill_tile(terrain: Terrain, row: int, column: int, plane: int, wheel: int, 
 
 
 def _plane_maps(height: FloatArray, half: int, spacing: float) -> tuple[FloatArray, FloatArray]:
+    from scipy.ndimage import correlate1d, uniform_filter, uniform_filter1d
+
     side = 2 * half + 1
     ramp = np.arange(-half, half + 1, dtype=float)
     spread = float(ramp @ ramp)
@@ -679,6 +680,8 @@ def _plane_maps(height: FloatArray, half: int, spacing: float) -> tuple[FloatArr
 
 def _step(height: FloatArray, plane: int, wheel: int) -> FloatArray:
     """Range of the heights within `wheel` nodes, less the slope of the half footprints about each node."""
+    from scipy.ndimage import correlate1d, uniform_filter1d
+
     ramp = np.where(np.arange(-plane, plane + 1) <= 0, np.arange(-plane, plane + 1) + 0.5 * plane, 0.0)
     ramp /= ramp @ ramp
     gradients = []
@@ -707,6 +710,8 @@ def _ranges(height: Any, along: Any, across: Any, half: int, ranges: Any) -> Non
 
 
 def _near(hole: BoolArray, half: int) -> BoolArray:
+    from scipy.ndimage import maximum_filter
+
     return np.asarray(maximum_filter(hole, 2 * half + 1)) if hole.any() else hole
 
 

@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
@@ -109,6 +108,8 @@ def likely_ground(
     of known ones get the height of these, and for an error what the ground may differ by so far; others stay holes.
     Raises ParameterError where nothing is known of the random errors, all are 0, or hardly any heights are known.
     """
+    from scipy.ndimage import gaussian_filter
+
     finite = np.isfinite(height_m)
     if not (random_m[finite] > 0).any():
         raise ParameterError("the model states no random error above 0 m")
@@ -248,6 +249,8 @@ def mean_over(width: float, spacing: float, shape: tuple[int, ...]) -> FloatArra
 
 def _everywhere(values: FloatArray, finite: BoolArray) -> FloatArray:
     """Values, and where they are not known that of the next node where they are."""
+    from scipy.ndimage import distance_transform_edt
+
     if finite.all():
         return values
     nearest = distance_transform_edt(~finite, return_distances=False, return_indices=True)
@@ -256,6 +259,8 @@ def _everywhere(values: FloatArray, finite: BoolArray) -> FloatArray:
 
 def _away(finite: BoolArray) -> FloatArray:
     """Distance of nodes from the next known one, in nodes; 0 for these."""
+    from scipy.ndimage import distance_transform_edt
+
     return np.zeros(finite.shape) if finite.all() else np.asarray(distance_transform_edt(~finite))
 
 
