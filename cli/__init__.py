@@ -12,6 +12,7 @@ from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 from typing import Annotated, Any
 
 import typer
@@ -69,16 +70,26 @@ def command_line(wanted: Collection[str] | None = None) -> typer.Typer:
             chosen = COMMANDS[name] if wanted is None else [one for one in COMMANDS[name] if one in wanted]
             for command in COMMANDS[name]:
                 if command in chosen:
-                    import_module(f".{name}.{command}", __name__).add_to(group)
+                    _add(import_module(f".{name}.{command}", __name__), group)
                 else:
                     group.command(command, help="" if chosen else _summary(name, command))(lambda: None)
         program.add_typer(group, name=name)
     for name, text in SINGLE.items():
         if wanted is None or name in wanted:
-            import_module(f".{name}", __name__).add_to(program)
+            _add(import_module(f".{name}", __name__), program)
         else:
             program.command(name, help=text)(lambda: None)
     return program
+
+
+def _add(module: ModuleType, app: typer.Typer) -> None:
+    """Add the commands that a module declares, below its own group where it has one."""
+    group = getattr(module, "app", app)
+    if group is not app:
+        app.add_typer(group, name=module.__name__.rpartition(".")[2])
+    for function in vars(module).values():
+        if getattr(function, "__module__", "") == module.__name__ and hasattr(function, "add_to"):
+            function.add_to(group)
 
 
 def _summary(group: str, command: str) -> str:

@@ -15,11 +15,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "cite", examples=EXAMPLES)(cite)
-
-
+@command("cite", EXAMPLES)
 def cite(results: Results) -> Report:
     """What to cite for results, as BibTeX: lunarsci, the sources that they name, and the data behind their tables.
 

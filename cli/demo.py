@@ -21,11 +21,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "demo", examples=EXAMPLES, folder=True, default_path=FOLDER)(demo)
-
-
+@command("demo", EXAMPLES, folder=True, default_path=FOLDER)
 def demo(
     output: Output,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the noise and the draws.")] = 0,

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import typer
-
 from .shared.command import command
 from .shared.emit import Report
 from .shared.options import Output
@@ -20,11 +18,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "doctor", examples=EXAMPLES)(doctor)
-
-
+@command("doctor", EXAMPLES)
 def doctor(output: Output) -> Report:
     """Whether lunarsci works here: versions, extras, compiled code, threads, and a small test of each part.
 

@@ -18,11 +18,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "info", examples=EXAMPLES)(info)
-
-
+@command("info", EXAMPLES)
 def info(file: File) -> Report:
     """What a file is, what is in it, and which commands take it.
 

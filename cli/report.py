@@ -32,11 +32,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "report", examples=EXAMPLES, request=ReportRequest, options=OPTIONS)(report)
-
-
+@command("report", EXAMPLES, OPTIONS)
 def report(results: Results, request: ReportRequest) -> Report:
     """Results of other commands as one HTML page that needs no network: -o PAGE.html.
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import typer
-
 from lunarsci.reproduce.requests import ReproduceRequest
 
 from .shared.command import command
@@ -30,11 +28,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "reproduce", examples=EXAMPLES, request=ReproduceRequest, options=OPTIONS, blocks=SPREAD)(reproduce)
-
-
+@command("reproduce", EXAMPLES, OPTIONS, blocks=SPREAD)
 def reproduce(request: ReproduceRequest, output: Output) -> Report:
     """Numbers of Ding et al. (2024) beside what lunarsci makes of what they publish, with a verdict on each.
 

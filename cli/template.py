@@ -22,11 +22,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "template", examples=EXAMPLES)(template)
-
-
+@command("template", EXAMPLES)
 def template(kind: Kind) -> Report:
     """A file to begin with, every key with its meaning, unit and a value; commands take it as it is.
 

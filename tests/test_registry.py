@@ -116,14 +116,10 @@ COMMAND = '''
     EXAMPLES = ("lunarsci images relief ground.csv", "lunarsci images relief ground.csv --above 0.1")
 
 
-    def add_to(app: typer.Typer) -> None:
-        """Register the command."""
-        command(app, "relief", examples=EXAMPLES, request=ReliefRequest, options=OPTIONS)(relief)
-
-
     Ground = Annotated[str, typer.Argument(metavar="TERRAIN", help="Heights.")]
 
 
+    @command("relief", EXAMPLES, OPTIONS)
     def relief(ground: Ground, request: ReliefRequest) -> Report:
         """The range of heights of a terrain.
 

@@ -214,10 +214,12 @@ def test_a_command_takes_the_fields_of_a_request() -> None:
     app = typer.Typer()
     seen = []
 
-    @command(app, "try", request=Asked, options={"load_n": option(), "ties": option(), "exact": option()})
+    @command("try", options={"load_n": option(), "ties": option(), "exact": option()})
     def run(request: Asked) -> Report:
         seen.append(request)
         return Report(Found(request.load_n, "x"), [])
+
+    run.add_to(app)  # type: ignore[attr-defined]
 
     runner = CliRunner()
     help_text = " ".join(runner.invoke(app, ["--help"]).output.replace("│", " ").split())

@@ -50,11 +50,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "calibrate", examples=EXAMPLES, request=CalibrateCamerasRequest, options=OPTIONS)(calibrate)
-
-
+@command("calibrate", EXAMPLES, OPTIONS)
 def calibrate(output: Output, pictures: Pictures, request: CalibrateCamerasRequest, right: Right = None) -> Report:
     """Camera or stereo rig from pictures of a chessboard, a grid of circles or a charuco board, with errors.
 

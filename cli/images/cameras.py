@@ -38,11 +38,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "cameras", examples=EXAMPLES, request=CamerasRequest, options=OPTIONS)(cameras)
-
-
+@command("cameras", EXAMPLES, OPTIONS)
 def cameras(output: Output, request: CamerasRequest, sources: Sources = None) -> Report:
     """Cameras and stereo rigs: intrinsics, baseline, field of view, size of a pixel and errors of ranges.
 

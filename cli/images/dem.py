@@ -41,11 +41,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "dem", examples=EXAMPLES, request=DemRequest, options=OPTIONS)(dem)
-
-
+@command("dem", EXAMPLES, OPTIONS)
 def dem(left: Left, right: Right, request: DemRequest, output: Output, terrain: Terrain = None) -> Report:
     """Heights on a grid from a stereo pair, each with a random error and one that all share.
 

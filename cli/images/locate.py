@@ -38,11 +38,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "locate", examples=EXAMPLES, folder=True, request=LocateRequest, options=OPTIONS)(locate)
-
-
+@command("locate", EXAMPLES, OPTIONS, folder=True)
 def locate(output: Output, stations: Folders, request: LocateRequest) -> Report:
     """Where stations were, from ground that their pictures share, with errors; dead reckoning is where to begin.
 

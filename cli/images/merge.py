@@ -32,11 +32,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "merge", examples=EXAMPLES, request=MergeRequest, options=OPTIONS)(merge)
-
-
+@command("merge", EXAMPLES, OPTIONS)
 def merge(output: Output, dems: Elevations, request: MergeRequest) -> Report:
     """Elevation models of several stations as one map, by inverse variances, with common errors kept.
 

@@ -45,11 +45,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "render", examples=EXAMPLES, folder=True, request=RenderRequest, options=OPTIONS)(render)
-
-
+@command("render", EXAMPLES, OPTIONS, folder=True)
 def render(output: Output, request: RenderRequest, terrain: Terrain = None) -> Report:
     """SYNTHETIC pictures of a terrain by a stereo rig: hard shadows, blur, noise, vignetting.
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import typer
-
 from lunarsci.images.jobs.requests import RocksRequest
 
 from ..shared.command import command
@@ -32,11 +30,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "rocks", examples=EXAMPLES, request=RocksRequest, options=OPTIONS)(rocks)
-
-
+@command("rocks", EXAMPLES, OPTIONS)
 def rocks(output: Output, dem: Elevation, request: RocksRequest) -> Report:
     """Rocks that stand out of an elevation model: place, size, height, with errors, and how many are missed.
 

@@ -40,11 +40,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "track", examples=EXAMPLES, request=TrackRequest, options=OPTIONS)(track)
-
-
+@command("track", EXAMPLES, OPTIONS)
 def track(output: Output, dem: Elevation, request: TrackRequest) -> Report:
     """Depth of a track along a line, and the sinkage that follows, with random and systematic errors apart.
 

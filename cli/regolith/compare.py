@@ -40,11 +40,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "compare", examples=EXAMPLES, request=CompareSoilsRequest, options=OPTIONS)(compare)
-
-
+@command("compare", EXAMPLES, OPTIONS)
 def compare(request: CompareSoilsRequest, result: SiteResult = None) -> Report:
     """The site beside terrestrial soils, simulants and lunar sites: who is most alike under a wheel.
 

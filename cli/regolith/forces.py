@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-import typer
-
 from lunarsci.regolith.jobs.requests import WheelForcesRequest
 
 from ..shared.command import command
@@ -53,11 +51,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "forces", examples=EXAMPLES, request=WheelForcesRequest, options=OPTIONS)(forces)
-
-
+@command("forces", EXAMPLES, OPTIONS)
 def forces(request: WheelForcesRequest) -> Report:
     """Forces of the soil on one wheel, from its sinkage or its load.
 

@@ -75,11 +75,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "identify", examples=EXAMPLES, request=IdentifyRequest, options=OPTIONS)(identify)
-
-
+@command("identify", EXAMPLES, OPTIONS)
 def identify(states: States, request: IdentifyRequest, output: Output) -> Report:
     """Soil parameters in three aspects (bearing, longitudinal and lateral shear) from wheel states, with errors.
 

@@ -69,11 +69,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "infer", examples=EXAMPLES, request=InferRequest, options=OPTIONS)(infer)
-
-
+@command("infer", EXAMPLES, OPTIONS)
 def infer(states: States, request: InferRequest, output: Output, posterior: Posterior = None) -> Report:
     """All soil parameters from all wheel states at once, as a posterior; below it what each state gives by itself.
 

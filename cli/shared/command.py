@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import typer
 
@@ -25,36 +25,38 @@ from .emit import Report, emit, emit_failed
 from .options import CONFIG, FORM_OF, Output, RequestOption, computing_options, request_parameters, shared_options
 from .talk import interrupted, say
 
+Declared = TypeVar("Declared", bound=Callable[..., Report])
+
 
 def command(
-    app: typer.Typer,
     name: str,
+    examples: Sequence[str] = (),
+    options: Mapping[str, RequestOption] | None = None,
     *,
     folder: bool = False,
     default_path: str | None = None,
-    request: type | None = None,
-    options: Mapping[str, RequestOption] | None = None,
     blocks: Sequence[str] = (),
     batch: bool = False,
-    examples: Sequence[str] = (),
-) -> Callable[[Callable[..., Report]], Callable[..., None]]:
-    """Register a function that returns a `Report` as a command with the shared output options.
+) -> Callable[[Declared], Declared]:
+    """Declare a function that returns a `Report` as a command with the shared output options, which its
+    `add_to` adds to an application.
 
     A function with a parameter `output` is handed the `Output`, for its progress bar. With `folder`, `--output` names a
     folder that takes the report's `files`, and the result itself goes to stdout too; a name with the end of a result,
     such as .json, is a file for it alone.
 
-    With `request`, a frozen dataclass of a job, and `options`, what the command line says of its fields, the function
-    is handed a `request` made of them; names, types and defaults are those of the dataclass. What it refuses is wrong
-    usage. `blocks` names options for where it computes blocks of rows, and in how much memory: `SPREAD` or
+    A function with a parameter `request`, a frozen dataclass of a job, is handed one made of `options`: what the
+    command line says of its fields, whose names, types and defaults are those of the dataclass. What it refuses is wrong usage.
+    `blocks` names options for where it computes blocks of rows, and in how much memory: `SPREAD` or
     `BLOCKS`. A command of a `batch` of inputs, which goes on past a bad one, can list these in a file. `examples` stand
     below the help; a line that ends in a backslash goes on in the next one, as in a shell.
     """
     shared = shared_options(folder, default_path, batch) | computing_options(blocks)
-    asked = [] if request is None else request_parameters(request, options or {})
 
-    def register(function: Callable[..., Report]) -> Callable[..., None]:
+    def register(function: Callable[..., Report], app: typer.Typer) -> None:
         signature = inspect.signature(function, eval_str=True)
+        request: Any = signature.parameters["request"].annotation if "request" in signature.parameters else None
+        asked = [] if request is None else request_parameters(request, options or {})
         wants_output = "output" in signature.parameters
         fields = [parameter.name for parameter in asked]
 
@@ -67,11 +69,7 @@ def command(
             output, worded = Output(**chosen, folder=named), partial(_with_flags, context=context)
             try:
                 output.check()
-                with (
-                    _earlier_runs_named(output),
-                    heard_warnings(output, worded) as heard,
-                    _computing(output, where),
-                ):
+                with _earlier_runs_named(output), heard_warnings(output, worded) as heard, _computing(output, where):
                     handed = {key: value for key, value in options.items() if key not in fields}
                     if request is not None:
                         handed["request"] = request(**_fields(request, {key: options[key] for key in fields}))
@@ -94,9 +92,12 @@ def command(
         run.__annotations__ = {p.name: p.annotation for p in extended.parameters.values()}
         epilog = "\n  ".join(["Examples:", *examples]).replace("\n  --", "\n      --") if examples else ""
         app.command(name, help=paragraphs(function), epilog=epilog)(run)
-        return run
 
-    return register
+    def declare(function: Declared) -> Declared:
+        function.add_to = partial(register, function)  # type: ignore[attr-defined]
+        return function
+
+    return declare
 
 
 def paragraphs(function: Callable[..., Any]) -> str:

@@ -39,11 +39,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "bands", examples=EXAMPLES, batch=True, request=BandsRequest, options=OPTIONS, blocks=BLOCKS)(bands)
-
-
+@command("bands", EXAMPLES, OPTIONS, batch=True, blocks=BLOCKS)
 def bands(files: Files, request: BandsRequest, output: Output, plane: Plane = None) -> Report:
     """Centre, depth and area of the 1 and 2 µm absorption bands, with standard errors.
 

@@ -41,11 +41,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "calibrate", examples=EXAMPLES, batch=True, request=CalibrateRequest, options=OPTIONS)(calibrate)
-
-
+@command("calibrate", EXAMPLES, OPTIONS, batch=True)
 def calibrate(files: Products, request: CalibrateRequest, output: Output) -> Report:
     """VNIS radiance to reflectance factor, 390 channels, with independent and shared errors.
 

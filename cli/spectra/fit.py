@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-import typer
-
 from lunarsci.spectra.jobs.requests import FitRequest
 from lunarsci.spectra.mgm import PERCENT_OF, with_trend
 
@@ -53,11 +51,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "fit", examples=EXAMPLES, batch=True, request=FitRequest, options=OPTIONS, blocks=BLOCKS)(fit_spectra)
-
-
+@command("fit", EXAMPLES, OPTIONS, batch=True, blocks=BLOCKS)
 def fit_spectra(files: Files, request: FitRequest, output: Output) -> Report:
     """Modified Gaussian Model: absorption bands of olivine, pyroxenes and plagioclase, with errors and NBSR.
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import typer
-
 from lunarsci.spectra.jobs.requests import IndicesRequest
 
 from ..shared.command import command
@@ -34,11 +32,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "indices", examples=EXAMPLES, batch=True, request=IndicesRequest, options=OPTIONS)(indices)
-
-
+@command("indices", EXAMPLES, OPTIONS, batch=True)
 def indices(files: Files, request: IndicesRequest) -> Report:
     """Spectral indices: IBD1000, IBD2000, R540, R1580, slopes, olivine, spinel, OMAT, FeO and TiO2.
 

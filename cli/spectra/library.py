@@ -38,20 +38,13 @@ OPTIONS = {
 }
 
 
-def add_to(group: typer.Typer) -> None:
-    """Register the group of commands."""
-    group.add_typer(app, name="library")
-
-
 @command(
-    app,
     "import",
     examples=(
         "lunarsci spectra library import lunarsci-demo/rock.ecsv --mineral other \\\n  -o library.ecsv",
         "lunarsci spectra library import lunarsci-demo/rock.ecsv --source here --csv",
     ),
     batch=True,
-    request=ImportRequest,
     options=OPTIONS,
 )
 def import_(files: Files, request: ImportRequest, output: Output) -> Report:
@@ -68,7 +61,6 @@ def import_(files: Files, request: ImportRequest, output: Output) -> Report:
 
 
 @command(
-    app,
     "list",
     examples=(
         "lunarsci spectra library list library.ecsv",
@@ -82,7 +74,6 @@ def list_(files: Libraries) -> Report:
 
 
 @command(
-    app,
     "check",
     examples=(
         "lunarsci spectra library check library.ecsv",
@@ -99,7 +90,6 @@ def check(files: Libraries) -> Report:
 
 
 @command(
-    app,
     "plot",
     examples=(
         "lunarsci spectra library plot library.ecsv -o library.png",

@@ -66,11 +66,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "map", examples=EXAMPLES, request=MapRequest, options=OPTIONS, blocks=BLOCKS)(map_cube)
-
-
+@command("map", EXAMPLES, OPTIONS, blocks=BLOCKS)
 def map_cube(cube: CubeFile, request: MapRequest, output: Output, spectrum: Spectrum = None) -> Report:
     """Maps of an image cube: bands, indices, fits and shares in every pixel, with errors and flags.
 

@@ -62,11 +62,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "match", examples=EXAMPLES, batch=True, request=MatchRequest, options=OPTIONS, blocks=SPREAD)(match)
-
-
+@command("match", EXAMPLES, OPTIONS, batch=True, blocks=SPREAD)
 def match(request: MatchRequest, output: Output, rocks: Rocks = None) -> Report:
     """The crater a rock came from: composition (ln Bayes factor), prior and posterior, each apart.
 

@@ -4,8 +4,6 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
-import typer
-
 from lunarsci.spectra.jobs.requests import SimulateVnisRequest
 
 from ..shared.command import command
@@ -35,11 +33,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "simulate", examples=EXAMPLES, folder=True, request=SimulateVnisRequest, options=OPTIONS)(simulate)
-
-
+@command("simulate", EXAMPLES, OPTIONS, folder=True)
 def simulate(request: SimulateVnisRequest) -> Report:
     """Synthetic VNIS products of a made-up scene: image cube, table, labels, and the truth.
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-import typer
-
 from lunarsci.spectra.jobs.requests import UnmixRequest
 
 from ..shared.command import command
@@ -41,11 +39,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "unmix", examples=EXAMPLES, batch=True, request=UnmixRequest, options=OPTIONS)(unmix_spectra)
-
-
+@command("unmix", EXAMPLES, OPTIONS, batch=True)
 def unmix_spectra(files: Files, request: UnmixRequest, output: Output) -> Report:
     """Shares of olivine, orthopyroxene, clinopyroxene and plagioclase by volume, with intervals.
 

@@ -69,11 +69,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "compare", examples=EXAMPLES, batch=True, request=TrialsRequest, options=OPTIONS)(compare)
-
-
+@command("compare", EXAMPLES, OPTIONS, batch=True)
 def compare(inputs: Inputs, request: TrialsRequest, output: Output, save: SavedBelief = None) -> Report:
     """Was the prediction to be trusted: where the drive ended, its path and its wheel states beside what was predicted.
 

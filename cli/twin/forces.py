@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import typer
-
 from lunarsci.twin.jobs.requests import DriveRequest
 
 from ..shared.command import command
@@ -36,11 +34,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "forces", examples=EXAMPLES, request=DriveRequest, options=DRIVE, blocks=SPREAD)(forces)
-
-
+@command("forces", EXAMPLES, DRIVE, blocks=SPREAD)
 def forces(output: Output, request: DriveRequest, plan: PlanFile = None) -> Report:
     """Load, drawbar pull, lateral force and torque of every wheel along a predicted drive.
 

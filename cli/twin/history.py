@@ -46,11 +46,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "history", examples=EXAMPLES, request=HistoryRequest, options=OPTIONS)(history)
-
-
+@command("history", EXAMPLES, OPTIONS)
 def history(
     belief: Annotated[str, typer.Argument(metavar="BELIEF.json", help="A belief of `twin update --save`.")],
     request: HistoryRequest,

@@ -58,11 +58,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "loads", examples=EXAMPLES, folder=True, request=LoadsRequest, options=OPTIONS)(loads)
-
-
+@command("loads", EXAMPLES, OPTIONS, folder=True)
 def loads(
     output: Output, request: LoadsRequest, motion: MotionFile, plan: PlanFile = None, save: SavedBelief = None
 ) -> Report:

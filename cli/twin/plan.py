@@ -6,8 +6,6 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-import typer
-
 from lunarsci.twin.jobs.requests import PlanRequest
 
 from ..shared.command import command
@@ -64,11 +62,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "plan", examples=EXAMPLES, folder=True, request=PlanRequest, options=OPTIONS, blocks=SPREAD)(plan)
-
-
+@command("plan", EXAMPLES, OPTIONS, folder=True, blocks=SPREAD)
 def plan(output: Output, request: PlanRequest, terrain: NamedTerrain = None, geotiff: GeoTiff = False) -> Report:
     """A path to a target that keeps the limits of a rover, on the maps of `twin terrain`.
 

@@ -37,13 +37,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "predict", examples=EXAMPLES, folder=True, request=PredictRequest, options=OPTIONS, blocks=SPREAD)(
-        predict
-    )
-
-
+@command("predict", EXAMPLES, OPTIONS, folder=True, blocks=SPREAD)
 def predict(
     output: Output,
     request: PredictRequest,

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import typer
-
 from lunarsci.twin.jobs.requests import SimulateDriveRequest
 
 from ..shared.command import command
@@ -42,11 +40,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "simulate", examples=EXAMPLES, folder=True, request=SimulateDriveRequest, options=OPTIONS)(simulate)
-
-
+@command("simulate", EXAMPLES, OPTIONS, folder=True)
 def simulate(output: Output, request: SimulateDriveRequest, plan: PlanFile = None) -> Report:
     """Drive a plan once on one soil and write the telemetry that such a drive would send, sensor errors included.
 

@@ -49,11 +49,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "states", examples=EXAMPLES, folder=True, request=StatesRequest, options=OPTIONS)(states)
-
-
+@command("states", EXAMPLES, OPTIONS, folder=True)
 def states(telemetry: Telemetry, request: StatesRequest, plan: DrivenPlan = None) -> Report:
     """Slip, side slip and sinkage of every wheel, with their errors, from the telemetry of a drive.
 

@@ -35,11 +35,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "sweep", examples=EXAMPLES, request=SweepRequest, options=OPTIONS)(sweep)
-
-
+@command("sweep", EXAMPLES, OPTIONS)
 def sweep(output: Output, request: SweepRequest, plans: Plans = None) -> Report:
     """Drive designs of a rover that differ in a few numbers on the same mission and soils, and set them side by side.
 

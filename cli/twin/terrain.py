@@ -52,11 +52,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "terrain", examples=EXAMPLES, folder=True, request=TerrainRequest, options=OPTIONS)(terrain)
-
-
+@command("terrain", EXAMPLES, OPTIONS, folder=True)
 def terrain(
     output: Output, request: TerrainRequest, terrain: TerrainFile = "synthetic-longji", geotiff: GeoTiff = False
 ) -> Report:

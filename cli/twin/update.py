@@ -82,11 +82,7 @@ EXAMPLES = (
 )
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    command(app, "update", examples=EXAMPLES, request=UpdateRequest, options=OPTIONS, blocks=SPREAD)(update)
-
-
+@command("update", EXAMPLES, OPTIONS, blocks=SPREAD)
 def update(
     states: States,
     request: UpdateRequest,
