@@ -46,8 +46,8 @@ def command(
     such as .json, is a file for it alone.
 
     A function with a parameter `request`, a frozen dataclass of a job, is handed one made of `options`: what the
-    command line says of its fields, whose names, types and defaults are those of the dataclass. What it refuses is wrong usage.
-    `blocks` names options for where it computes blocks of rows, and in how much memory: `SPREAD` or
+    command line says of its fields, whose names, types and defaults are those of the dataclass. What it refuses is
+    wrong usage. `blocks` names options for where it computes blocks of rows, and in how much memory: `SPREAD` or
     `BLOCKS`. A command of a `batch` of inputs, which goes on past a bad one, can list these in a file. `examples` stand
     below the help; a line that ends in a backslash goes on in the next one, as in a shell.
     """
