@@ -24,7 +24,8 @@ PAGE_IN = 7.2
 TALLEST_IN = 9.4
 """Height of a printed page, less its margins and a caption. [in]"""
 INK = "#26323a"
-COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
+BLUE, VERMILION, GREEN, PINK, SKY, AMBER = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00"
+COLORS = (BLUE, VERMILION, GREEN, PINK, SKY, AMBER)
 """Told apart by the colour-blind: Okabe & Ito (2008), Color Universal Design."""
 LINE_STYLES = tuple(
     {"color": color, "linestyle": dashes}

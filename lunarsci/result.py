@@ -16,7 +16,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 from types import FrameType
-from typing import TYPE_CHECKING, Any, ClassVar, ParamSpec, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, ParamSpec, TypeAlias, TypeVar, get_args
 
 from lunarsci.errors import Failure, LunarSciWarning, ParameterError
 from lunarsci.figure import styled
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 Given = ParamSpec("Given")
 Returned = TypeVar("Returned")
+Progress: TypeAlias = Callable[[int, int], None]
+"""What a job calls as it goes on: how much is done, and how much there is."""
 UNITS = {
     "torque_nm": "N m",
     "moment_nm": "N m",

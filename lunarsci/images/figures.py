@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse, Patch
 
 from lunarsci.arrays import FloatArray
-from lunarsci.figure import COLORS, DOT_STYLES, INK, LINE_STYLES, as_label, headline, legend_below, page
+from lunarsci.figure import COLORS, DOT_STYLES, INK, LINE_STYLES, VERMILION, as_label, headline, legend_below, page
 from lunarsci.images.calibration import CameraCalibration
 from lunarsci.images.camera import Pose
 from lunarsci.images.elevation import ElevationModel, MergedMap
@@ -19,7 +19,7 @@ from lunarsci.images.matching import MATCHED, REASONS, StereoMatches
 from lunarsci.images.rocks import RockSurvey
 from lunarsci.images.tracks import TrackDepths, TrackProfile, places_on, unrolled
 
-MARK, BAND = "#D55E00", "#9fb4c0"
+MARK, BAND = VERMILION, "#9fb4c0"
 
 
 def _map(axes: Axes, model: ElevationModel, values: FloatArray, label: str, **look: Any) -> None:

@@ -9,7 +9,7 @@ that error, the rig moves within its covariance, dead reckoning is a prior, and 
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -23,6 +23,7 @@ from lunarsci.errors import DataError
 from lunarsci.images.camera import PARAMETERS, Pose, StereoRig, rotation_of, vector_of
 from lunarsci.images.matching import Rectified, StereoMatches
 from lunarsci.images.pictures import open_cv
+from lunarsci.result import Progress
 
 HIDDEN = 0.02
 """Points are hidden that lie behind the nearest one of a pixel by more than this share of its depth; assumed."""
@@ -60,7 +61,6 @@ ODD_SIGMAS = 5.0
 LEAST_SHARED, MOST_CLOSED, NEAREST_M = 0.05, 4, 0.5
 """Share of a station's ground that a much later one must see to be tied to it, to how many at most, and from how near;
 assumed. [-], [-], [m]"""
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

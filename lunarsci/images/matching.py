@@ -7,7 +7,6 @@ adaptive least squares correlation). The normal matrix and what is left of the l
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -19,6 +18,7 @@ from lunarsci.compiled import compiled, each_in_threads
 from lunarsci.errors import DataError
 from lunarsci.images.camera import StereoRig
 from lunarsci.images.pictures import Picture, open_cv
+from lunarsci.result import Progress
 
 HALF_PX = 3
 """Windows are 7 x 7 pixels: the compromise between noise and relief that was nearest to the truth of two rendered pairs
@@ -252,7 +252,6 @@ RELIEF = 0.9
 """Share of the relief within a window, beyond its plane, that the middle is off by: as `CORRELATED`."""
 SMALLEST_SIGMA_PX = 0.02
 """Error that is left where light and relief say none: as `CORRELATED`."""
-Progress = Callable[[int, int], None]
 
 
 class Rectified(NamedTuple):

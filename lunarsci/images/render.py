@@ -21,6 +21,7 @@ from lunarsci.compiled import compiled, each_in_threads
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.images.camera import Camera, Pose, StereoRig
 from lunarsci.io.tables import numbers_of, read_csv_table
+from lunarsci.result import Progress
 
 ROCK_COLUMNS = ("x_m", "y_m", "z_m", "a_m", "b_m", "c_m", "turn_deg")
 """Columns of a landscape's rocks: middle, half axes along and across, half height, direction of the first axis."""
@@ -499,7 +500,6 @@ OFFSET = 8.0
 """Number that darkness gives: assumed."""
 ROWS = 32
 """Rows of pixels that a thread takes at a time."""
-Progress = Callable[[int, int], None]
 
 
 class PixelTruth(NamedTuple):

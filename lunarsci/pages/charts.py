@@ -8,7 +8,19 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.figure import DOT_STYLES, INK, LINE_STYLES, as_label, legend_below, page, picture_bytes, styled
+from lunarsci.figure import (
+    BLUE,
+    DOT_STYLES,
+    INK,
+    LINE_STYLES,
+    SKY,
+    VERMILION,
+    as_label,
+    legend_below,
+    page,
+    picture_bytes,
+    styled,
+)
 from lunarsci.pages.documents import Document
 from lunarsci.pages.drive_answers import interval_of
 from lunarsci.pages.words import NAMES, number, words
@@ -169,7 +181,7 @@ def _craters(document: Document) -> Drawn:
     place = [-float(k) for k in range(len(items))]
     bars = (
         ("prior", 0.2, "#c9ced2", "before: position, age and ejecta"),
-        ("posterior", -0.2, "#0072B2", "after: with composition"),
+        ("posterior", -0.2, BLUE, "after: with composition"),
     )
     for key, up, color, label in bars:
         at, sizes = [y + up for y in place], [one[key] for one in items]
@@ -202,8 +214,8 @@ def _soil_curves(document: Document) -> Drawn:
     for axes, (curve, x, y) in zip(figure.subplots(len(drawn), 1, squeeze=False)[:, 0], drawn, strict=True):
         points = [point for point in curve if None not in (point[y], point["low"], point["high"])]
         at, middle, low, high = _columns(points, x, y, "low", "high")
-        axes.fill_between(at, low, high, color="#0072B2", alpha=0.25, linewidth=0)
-        axes.plot(at, middle, color="#0072B2")
+        axes.fill_between(at, low, high, color=BLUE, alpha=0.25, linewidth=0)
+        axes.plot(at, middle, color=BLUE)
         axes.set(xlabel=_label(x), ylabel=_label(y))
     alone = "joint" in document.result
     return (
@@ -236,7 +248,7 @@ def _left_of_prior(document: Document) -> Drawn:
         return None
     figure, axes = _axes(height=0.9 + 0.32 * len(rows))
     place = [-float(k) for k in range(len(rows))]
-    axes.barh(place, [share for _, share in rows], 0.6, color="#56B4E9", edgecolor=INK, linewidth=0.5)
+    axes.barh(place, [share for _, share in rows], 0.6, color=SKY, edgecolor=INK, linewidth=0.5)
     axes.axvline(1.0, color=INK, linestyle="--")
     axes.set_yticks(place, [_label(name).partition(" [")[0] for name, _ in rows])
     axes.set_xlabel("spread now / spread before any drive [-]\n1: nothing learned")
@@ -263,7 +275,7 @@ def _limits(document: Document) -> Drawn:
         axes.plot(
             [low, high],
             [-place, -place],
-            color="#0072B2" if one["ok"] else "#D55E00",
+            color=BLUE if one["ok"] else VERMILION,
             linewidth=5,
             alpha=0.6,
             solid_capstyle="butt",

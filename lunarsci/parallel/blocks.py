@@ -29,9 +29,9 @@ from lunarsci.arrays import spans
 from lunarsci.compiled import threads
 from lunarsci.errors import OutputError, RequestError, TakenError
 from lunarsci.parallel.dask_cluster import build, connect, on_cluster
+from lunarsci.result import Progress
 
 Arrays: TypeAlias = "Mapping[str, np.ndarray[Any, Any]]"
-Progress: TypeAlias = Callable[[int, int], None]
 
 BLOCKS_EACH = 4
 """Blocks for each thread of a cluster: so few are light to send, so many end together, and a dead worker loses one."""

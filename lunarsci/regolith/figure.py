@@ -13,7 +13,19 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
 from lunarsci.arrays import FloatArray
-from lunarsci.figure import INK, as_label, headline, legend_below, name_points, page, wrapped
+from lunarsci.figure import (
+    AMBER,
+    BLUE,
+    GREEN,
+    INK,
+    VERMILION,
+    as_label,
+    headline,
+    legend_below,
+    name_points,
+    page,
+    wrapped,
+)
 from lunarsci.regolith.belief import SoilBelief, past_beliefs, rolled_back, shared_drives
 from lunarsci.regolith.compare import ASPECTS, KINDS, SITE_NAMES, Site, SoilComparison, lateral_soils, nearest
 from lunarsci.regolith.forces import WheelForces
@@ -24,9 +36,9 @@ from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.traction import DESIGN_SLIP, Traction
 from lunarsci.regolith.wheel import ContactModel, ShearSign, Wheel
 
-COLORS = dict(zip(KINDS, ("black", "#0072B2", "#009E73"), strict=True))
+COLORS = dict(zip(KINDS, ("black", BLUE, GREEN), strict=True))
 MARKERS = dict(zip(KINDS, ("o", "^", "s"), strict=True))
-SITE, CURVE = "#D55E00", "#E69F00"
+SITE, CURVE = VERMILION, AMBER
 NAMED = 4
 """How many of the nearest soils are named in each panel."""
 PARAMETER_LABELS = {
@@ -153,7 +165,6 @@ def _law_curve(axes: Any, points: Sequence[Mapping[str, Any]], x: str, y: str) -
         axes.plot(at, [point[y] for point in solved], color=CURVE)
 
 
-BLUE, ORANGE, GREEN = "#0072B2", "#D55E00", "#009E73"
 CHARACTERISTIC = (
     ("bearing", "bearing", "exponent", "stiffness_kpa_m_n"),
     ("shear", "longitudinal shear", "cohesion_pa", "friction_angle_deg"),
@@ -190,7 +201,7 @@ def forces_over_slip(
     for name, label, color, dashes in (
         ("normal_force_n", "normal force F$_N$", "black", "-"),
         ("drawbar_pull_n", "drawbar pull F$_{DP}$", BLUE, "--"),
-        ("lateral_force_n", f"lateral force F$_L$ at {side_slip_deg:g}° side slip", ORANGE, "-."),
+        ("lateral_force_n", f"lateral force F$_L$ at {side_slip_deg:g}° side slip", VERMILION, "-."),
     ):
         axes.plot(slip, getattr(curves, name), color=color, linestyle=dashes, label=label)
         axes.plot(slip_ratio, getattr(here, name), "o", color=color)
@@ -210,7 +221,7 @@ def traction_over_slip(rows: Sequence[Mapping[str, Any]], figures: Traction, loa
     slip = [row["slip_ratio"] for row in rows]
     for axes, name, factor, color, dashes, label in (
         (pull, "pull_per_weight", 1.0, BLUE, "-", "pull per weight"),
-        (pull, "tractive_efficiency", 1.0, ORANGE, "--", "tractive efficiency"),
+        (pull, "tractive_efficiency", 1.0, VERMILION, "--", "tractive efficiency"),
         (effort, "resistance_torque_nm", 1.0, "black", "-", "resistance torque M$_R$ [N m]"),
         (effort.twinx(), "sinkage_m", 1e3, GREEN, "-.", "sinkage z [mm]"),
     ):
@@ -247,7 +258,7 @@ def characteristic_curves(result: Identification, *, synthetic: bool = False) ->
     for corner in result.corners:
         angle = corner["external_friction_angle_deg"]
         if angle.value is not None:
-            lateral.errorbar(corner["lateral_modulus_mm"], angle.value, angle.sigma, fmt="o", color=ORANGE)
+            lateral.errorbar(corner["lateral_modulus_mm"], angle.value, angle.sigma, fmt="o", color=VERMILION)
     legend_below(figure, (bearing, shear, lateral))
     states = "1 wheel state" if len(result.observations) == 1 else f"{len(result.observations)} wheel states"
     title = f"{states}, reading '{result.reading}': each point of a curve explains the forces"
@@ -276,10 +287,10 @@ def _mark(axes: Any, result: Identification, x: str, y: str) -> None:
         at, spread = (given, estimate.value), (estimate.sigma, None)
         symbol, marker = SOLVED[partner]
         ends = (*at, *spread) if solved == y else (*at[::-1], *spread[::-1])
-        axes.errorbar(*ends, fmt=marker, color=ORANGE, capsize=3, label=f"solved at {symbol} = {given:g}")
+        axes.errorbar(*ends, fmt=marker, color=VERMILION, capsize=3, label=f"solved at {symbol} = {given:g}")
 
 
-FIRST, SECOND, REFUSED = "#0072B2", "#D55E00", "#26323a"
+FIRST, SECOND, REFUSED = BLUE, VERMILION, INK
 
 
 def belief_history_figure(

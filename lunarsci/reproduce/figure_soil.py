@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from lunarsci.arrays import FloatArray
-from lunarsci.figure import headline, name_points, page
+from lunarsci.figure import BLUE, GREEN, INK, PINK, VERMILION, headline, name_points, page
 from lunarsci.regolith import inversion
 from lunarsci.regolith.compare import ReferenceSoil, lateral_soils, reference_soils
 from lunarsci.regolith.forces import closed_form_forces, shear_sign_code
@@ -96,10 +96,10 @@ def _histogram(label: str, per: str, mean_id: str, sd_id: str, values: FloatArra
 
 Named = list[tuple[str, float, float]]
 
-REGION, DOT, TYPICAL_COLOR, GREY = "#f6c592", "#D55E00", "#009E73", "0.35"
-CURVES: Any = ({"color": "#0072B2"}, {"color": "#D55E00", "linestyle": "--"}, {"color": "#CC79A7", "linestyle": ":"},
+REGION, DOT, TYPICAL_COLOR, GREY = "#f6c592", VERMILION, GREEN, "0.35"
+CURVES: Any = ({"color": BLUE}, {"color": VERMILION, "linestyle": "--"}, {"color": PINK, "linestyle": ":"},
                {"color": "#000000", "linestyle": (0, (7, 2))})  # fmt: skip
-PROGRAMMES = {"Surveyor": "#0072B2", "Luna": "#D55E00", "Apollo": "#26323a"}
+PROGRAMMES = {"Surveyor": BLUE, "Luna": VERMILION, "Apollo": INK}
 MARKERS = "os^Dv<>Php*"
 SINKAGES_MM = (5.0, 8.0, 12.0, 15.0)
 LONGJI = ("Longji", "lunar soil, nominal")

@@ -22,12 +22,11 @@ from lunarsci.reproduce.numbers import VERDICTS, Number, published_hash
 from lunarsci.reproduce.requests import WORK, ReproduceRequest
 from lunarsci.reproduce.soil import soil_numbers
 from lunarsci.reproduce.spectra import TABLES, Rocks, boulders, fit_rocks, spectra_numbers, spectra_pages
-from lunarsci.result import MadeFrom, Result
+from lunarsci.result import MadeFrom, Progress, Result
 from lunarsci.rovers import RoverDescription, read_rover
 from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.twin.rover import build_rover
 
-Progress = Callable[[int, int], None]
 ROVER = "yutu2"
 
 

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
-from lunarsci.figure import headline
+from lunarsci.figure import BLUE, VERMILION, headline
 from lunarsci.reproduce.numbers import Answer, Number, judge, published_numbers, published_value
 from lunarsci.spectra.abundance.end_members import TABLE as END_MEMBERS
 from lunarsci.spectra.abundance.end_members import embedded_end_members
@@ -302,8 +302,8 @@ def spectra_numbers(rocks: Rocks | None = None) -> list[Number]:
 
 
 PYROXENE_MARKS = (
-    ("low-calcium pyroxene", "lcp", low_calcium, "#0072B2", "o", "*"),
-    ("high-calcium pyroxene", "hcp", high_calcium, "#D55E00", "^", "P"),
+    ("low-calcium pyroxene", "lcp", low_calcium, BLUE, "o", "*"),
+    ("high-calcium pyroxene", "hcp", high_calcium, VERMILION, "^", "P"),
 )
 PUBLISHED = "#c0392b"
 

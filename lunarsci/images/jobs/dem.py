@@ -1,7 +1,7 @@
 """Heights with errors from a pair of pictures."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -17,13 +17,12 @@ from lunarsci.images.pictures import read_picture
 from lunarsci.images.rig_files import check_rig_of, read_pose, read_rig
 from lunarsci.io.inputs import Source, read_input
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import MadeFrom, Progress, Result, job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-Progress = Callable[[int, int], None]
 SOURCES = [
     "Brown (1971), Photogramm. Eng. 37, 855: lens distortion",
     "Hirschmueller (2008), IEEE Trans. PAMI 30, 328, 10.1109/TPAMI.2007.1166: semi-global matching",

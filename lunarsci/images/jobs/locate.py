@@ -22,13 +22,12 @@ from lunarsci.io.documents import toml_document
 from lunarsci.io.inputs import InputFile, read_input, text
 from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import MadeFrom, Progress, Result, job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-Progress = Callable[[int, int], None]
 SOURCES = [
     "Lowe (2004), Int. J. Comput. Vis. 60, 91, 10.1023/B:VISI.0000029664.99615.94: features",
     "Barath et al. (2020), Proc. IEEE/CVF Conf. CVPR, 1301, 10.1109/CVPR42600.2020.00138: MAGSAC++",

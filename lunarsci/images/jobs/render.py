@@ -19,13 +19,12 @@ from lunarsci.images.render import ROCK_COLUMNS, Landscape, RenderedPair, landsc
 from lunarsci.images.rig_files import pose_text, read_rig, rig_text
 from lunarsci.io.inputs import read_input
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import MadeFrom, Progress, Result, job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-Progress = Callable[[int, int], None]
 SOURCES = [
     "Brown (1971), Photogramm. Eng. 37, 855: lens distortion",
     "Hapke (2012), 10.1017/CBO9781139025683: how regolith scatters light",

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
+from lunarsci.figure import BLUE
 from lunarsci.io.tables import table_rows
 from lunarsci.spectra.abundance.kinds import WINDOWS_NM, KindVerdict, spectral_features
 from lunarsci.spectra.abundance.result import Bar, BarPanel, bar_pages
@@ -178,7 +179,7 @@ def _unfit(kind: KindVerdict) -> str:
 
 
 TITLES = {"plagioclase_wt": "normative plagioclase [wt %]", "feo_wt": "FeO [wt %]", "tio2_wt": "TiO$_2$ [wt %]"}
-COLOR = "#0072B2"
+COLOR = BLUE
 
 
 def normative_pages(names: Sequence[str], soils: Sequence[Normative]) -> "Iterator[Figure]":

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
-from lunarsci.figure import as_label, name_points, page
+from lunarsci.figure import AMBER, BLUE, GREEN, VERMILION, as_label, name_points, page
 from lunarsci.io.tables import table_rows
 from lunarsci.spectra.band_status import BandColumns, BandResult
 from lunarsci.spectra.bands import SpectrumBands, columns_of
@@ -237,8 +237,8 @@ FIELDS = (
 """Name, corners and place of the name of each field. Drawn around RELAB pyroxenes of known composition, upper hull; 30
 of 31, 24 of 27 and 24 of 24 lie inside. After Adams (1974) and Cloutis & Gaffey (1991), whose tables were not at hand.
 """
-COLORS = ("#0072B2", "#E69F00", "#D55E00")
-OLIVINE_COLOR = "#009E73"
+COLORS = (BLUE, AMBER, VERMILION)
+OLIVINE_COLOR = GREEN
 
 
 def plane_pages(measured: Sequence[SpectrumBands]) -> "Iterator[Figure]":

@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 
 from lunarsci.arrays import FloatArray
 from lunarsci.constants import MOON_RADIUS_KM
-from lunarsci.figure import PAGE_IN, TALLEST_IN, as_label, headline, page
+from lunarsci.figure import AMBER, BLUE, PAGE_IN, SKY, TALLEST_IN, VERMILION, as_label, headline, page
 from lunarsci.spectra.cubes.cube import FLAGS, SYNTHETIC, PixelFrame
 from lunarsci.spectra.cubes.output import FLAG_LAYER, SUFFIXES, is_geographic
 from lunarsci.spectra.cubes.rasters import frame_of, netcdf, netcdf_frame, opened
@@ -29,7 +29,7 @@ MOST_PIXELS = 700
 LONG = 3.0
 """A map that is more times as long as wide, or as wide as long, is drawn so many times; the kilometres say so."""
 NO_VALUE = "#c8c8c8"
-FLAG_COLORS = ("#f5f5f5", "#000000", NO_VALUE, "#E69F00", "#D55E00", "#56B4E9")
+FLAG_COLORS = ("#f5f5f5", "#000000", NO_VALUE, AMBER, VERMILION, SKY)
 PLACES = ("longitude", "latitude")
 _ERRORS = ("_sigma", "_systematic", "_gaussian", "_method", "_low", "_high", "_interpolation")
 
@@ -208,6 +208,6 @@ def _point_north(panel: Any, ground: _Ground, aspect: float) -> None:
     right, up = np.array([right, up]) / np.hypot(right, up)
     panel.annotate(
         "", xy=(0.86 + 0.09 * right, 0.88 + 0.09 * up), xytext=(0.86 - 0.09 * right, 0.88 - 0.09 * up),
-        xycoords="axes fraction", arrowprops={"arrowstyle": "-|>", "color": "#0072B2", "lw": 1.5},
+        xycoords="axes fraction", arrowprops={"arrowstyle": "-|>", "color": BLUE, "lw": 1.5},
     )  # fmt: skip
-    panel.text(0.86, 0.72, ground.north, transform=panel.transAxes, ha="center", color="#0072B2")
+    panel.text(0.86, 0.72, ground.north, transform=panel.transAxes, ha="center", color=BLUE)

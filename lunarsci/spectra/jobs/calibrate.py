@@ -10,7 +10,7 @@ from lunarsci.errors import BatchError, DataError, Failure, NoFilesError, Parame
 from lunarsci.io.inputs import InputFile, expand_inputs, read_input
 from lunarsci.io.tables import table_hashes
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import MadeFrom, Progress, Result, job
 from lunarsci.spectra.jobs.requests import CalibrateRequest
 from lunarsci.spectra.photometry import PHASE_FUNCTIONS, phase_function, read_phase_function
 from lunarsci.spectra.readers.solar_table import read_solar_spectrum
@@ -30,7 +30,6 @@ MOST_IN_FITS = 55
 """A FITS table has 999 columns at most; an observation takes up to 18."""
 INSTRUMENT = "Li et al. (2019), Rev. Sci. Instrum. 90, 103106, 10.1063/1.5089737"
 Products = str | Path | Sequence[str | Path]
-Progress = Callable[[int, int], None]
 
 
 def settings_of(request: CalibrateRequest) -> Settings:

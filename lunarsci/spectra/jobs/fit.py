@@ -3,7 +3,7 @@
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache, partial
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.constants import MGM, NBSR
 from lunarsci.errors import Failure, ParameterError, RequestError
@@ -11,7 +11,7 @@ from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.io.records import Records, in_blocks
 from lunarsci.io.tables import table_hashes
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import MadeFrom, Progress, Result, job
 from lunarsci.spectra.abundance.kinds import TABLE as KINDS
 from lunarsci.spectra.abundance.nbsr import TABLE, PyroxeneAbundances, nbsr_abundances
 from lunarsci.spectra.abundance.result import Abundance
@@ -39,9 +39,6 @@ from lunarsci.spectra.spectrum import Spectrum
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-Progress: TypeAlias = Callable[[int, int], None]
 
 
 def model_of(request: ModelRequest, assemblage: str, continuum: MgmContinuum) -> MgmModel:

@@ -15,7 +15,7 @@ from lunarsci.io.tables import table_hashes
 from lunarsci.options import request_of
 from lunarsci.parallel.blocks import blocks_in_order, rows_in_memory
 from lunarsci.provenance import Provenance
-from lunarsci.result import MadeFrom, Result
+from lunarsci.result import MadeFrom, Progress, Result
 from lunarsci.spectra.cubes.cube import FLAGS, Cube, Stated
 from lunarsci.spectra.cubes.output import (
     PIXEL_FLAGS,
@@ -31,7 +31,6 @@ from lunarsci.spectra.cubes.output import (
 )
 from lunarsci.spectra.cubes.rasters import open_cube
 from lunarsci.spectra.cubes.regions import region_of
-from lunarsci.spectra.jobs.fit import Progress
 from lunarsci.spectra.jobs.map_products import minerals_of, products_of
 from lunarsci.spectra.jobs.requests import MOST_ROWS, ROWS, MapRequest
 

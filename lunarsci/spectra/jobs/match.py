@@ -13,8 +13,7 @@ from lunarsci.io.records import Records, RecordsInBlocks, in_blocks
 from lunarsci.io.tables import table_hashes
 from lunarsci.names import some_of
 from lunarsci.options import request_of
-from lunarsci.parallel.blocks import Progress
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import MadeFrom, Progress, Result, job
 from lunarsci.spectra.jobs.requests import MatchRequest
 from lunarsci.spectra.origin.catalogue import (
     TABLE,

@@ -15,7 +15,7 @@ from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.io.tables import table_hashes
 from lunarsci.names import some_of
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import MadeFrom, Progress, Result, job
 from lunarsci.spectra.abundance.end_members import FAMILY_OF, NEEDED_NM, OPAQUE, StatedModes, reaches, read_modes
 from lunarsci.spectra.abundance.end_members import TABLE as END_MEMBERS
 from lunarsci.spectra.abundance.estimate import estimate_series
@@ -33,7 +33,6 @@ from lunarsci.spectra.abundance.shares import TABLE as CALIBRATION
 from lunarsci.spectra.bands import measure_batch
 from lunarsci.spectra.chemistry.bands import TABLE as CHONDRITES
 from lunarsci.spectra.chemistry.bands import chondrite_record, chondrites
-from lunarsci.spectra.jobs.fit import Progress
 from lunarsci.spectra.jobs.requests import UnmixRequest
 from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource, read_batch
 from lunarsci.spectra.readers.library import EndMember, read_library

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lunarsci.figure import PAGE_IN, as_label, headline, legend_below, page
+from lunarsci.figure import BLUE, GREEN, PAGE_IN, PINK, VERMILION, as_label, headline, legend_below, page
 from lunarsci.spectra.band_status import BANDS, with_errors
 from lunarsci.spectra.bands import SpectrumBands
 from lunarsci.spectra.indices import INDICES, OK, IndexColumn
@@ -16,19 +16,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CONTINUUM_LOOKS = {
-    "conic": {"color": "#0072B2", "linestyle": "--"},
-    "hull": {"color": "#D55E00", "linestyle": "-."},
-    "linear": {"color": "#009E73", "linestyle": ":"},
+    "conic": {"color": BLUE, "linestyle": "--"},
+    "hull": {"color": VERMILION, "linestyle": "-."},
+    "linear": {"color": GREEN, "linestyle": ":"},
 }
 PER_PAGE, LONGEST = 6, 38
 """Spectra of a page, and letters of a name that fit above a panel."""
 INVISIBLE = 0.002
 """A band shallower than this in ln R is not drawn, so that the continuum stays visible."""
 COLORS = {
-    "olivine": "#009E73",
-    "orthopyroxene": "#0072B2",
-    "clinopyroxene": "#D55E00",
-    "plagioclase": "#CC79A7",
+    "olivine": GREEN,
+    "orthopyroxene": BLUE,
+    "clinopyroxene": VERMILION,
+    "plagioclase": PINK,
     "any": "#999999",
 }
 """Colours that remain distinct under colour-vision deficiency: Okabe & Ito (2008), Color Universal Design."""
@@ -185,7 +185,7 @@ def _draw_depth(axes: Any, wavelength: Any, reflectance: Any, columns: Any, name
     inside = (wavelength >= ends[0]) & (wavelength <= ends[1])
     line = np.interp(wavelength[inside], ends, heights)
     first = name == "ibd1000"
-    look: Any = {"color": "#0072B2" if first else "#D55E00", "linestyle": "--" if first else ":"}
+    look: Any = {"color": BLUE if first else VERMILION, "linestyle": "--" if first else ":"}
     axes.plot(ends, heights, marker="o" if first else "s", markersize=4, label=f"line of {INDICES[name].title}", **look)
     axes.fill_between(wavelength[inside], reflectance[inside], line, color=look["color"], alpha=0.2, linewidth=0)
 

@@ -20,8 +20,9 @@ from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.constants import MOON_RADIUS_KM
 from lunarsci.io.records import Codes, Listed, Records, Same
 from lunarsci.names import some_of
-from lunarsci.parallel.blocks import Progress, arrays_in_blocks
+from lunarsci.parallel.blocks import arrays_in_blocks
 from lunarsci.provenance import sha256
+from lunarsci.result import Progress
 from lunarsci.spectra.origin.catalogue import Crater, Point, azimuth_deg
 from lunarsci.spectra.origin.composition import MINERALS, SMALLEST_SIGMA, Composition, Rock, check_ranges, closed
 from lunarsci.spectra.origin.mineral_map import MapReport

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
-from lunarsci.figure import as_label, headline, page
+from lunarsci.figure import BLUE, VERMILION, as_label, headline, page
 from lunarsci.provenance import plain
 from lunarsci.spectra.photometry import STANDARD
 from lunarsci.spectra.spectrum import Spectrum
@@ -242,7 +242,7 @@ def _description(calibrations: Sequence[Calibration]) -> dict[str, Any]:
     }
 
 
-COLORS = {"vnir": "#0072B2", "swir": "#D55E00"}
+COLORS = {"vnir": BLUE, "swir": VERMILION}
 DASHES: Any = {"vnir": "-", "swir": (0, (5, 1.2))}
 """Okabe & Ito (2008), Color Universal Design."""
 _SHADOW, _INVALID = (0.0, 0.62, 0.45, 0.8), (0.8, 0.47, 0.65, 0.9)

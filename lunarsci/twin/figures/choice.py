@@ -13,7 +13,19 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from lunarsci.arrays import FloatArray
-from lunarsci.figure import INK, PAGE_IN, as_label, file_label, headline, legend_below, name_points, page, wrapped
+from lunarsci.figure import (
+    BLUE,
+    INK,
+    PAGE_IN,
+    VERMILION,
+    as_label,
+    file_label,
+    headline,
+    legend_below,
+    name_points,
+    page,
+    wrapped,
+)
 from lunarsci.result import UNITS, unit_of
 from lunarsci.twin.figures.maps import HAZARD, MOST_NODES, PATH, draw_relief
 from lunarsci.twin.figures.panels import ACCENT, GOLD, LABELS, LIMIT
@@ -160,14 +172,14 @@ def front_page(choice: DriveChoice) -> Figure:
 def _draw_risks(axes: Axes, choice: DriveChoice, name: str) -> None:
     kinds = (
         ("#8d9aa2", "x", "stopped early", [one for one in choice.candidates if one.stopped]),
-        ("#0072B2", "o", "on the common soils", [one for one in choice.candidates if not one.stopped]),
+        (BLUE, "o", "on the common soils", [one for one in choice.candidates if not one.stopped]),
     )
     for color, marker, label, group in kinds:
         points = [one for one in group if one.promise is None]
         if points:
             _bars(axes, points, name, color, marker, label)
     promised = [one for one in choice.candidates if one.promise is not None]
-    _bars(axes, promised, name, "#D55E00", "D", "on fresh soils")
+    _bars(axes, promised, name, VERMILION, "D", "on fresh soils")
     front = sorted(choice.front, key=lambda one: float(getattr(one, name)))
     axes.plot(
         [getattr(one, name) for one in front], [one.stated.risk for one in front], "-", color=INK, linewidth=0.8,

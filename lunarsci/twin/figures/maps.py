@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
 from lunarsci.arrays import FloatArray
-from lunarsci.figure import INK, PAGE_IN, as_label, headline, legend_below, page
+from lunarsci.figure import BLUE, INK, PAGE_IN, VERMILION, as_label, headline, legend_below, page
 from lunarsci.regolith.figure import PARAMETER_LABELS
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.twin.assimilation.residuals import OBSERVED, DriveRecord
@@ -25,10 +25,10 @@ from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain, from_si
 from lunarsci.twin.plans.path import planned_pose
 from lunarsci.twin.routes.planner import PlannedPath
 
-PATH, HAZARD, UNKNOWN = "#D55E00", "#B2182B", "#ffffff"
+PATH, HAZARD, UNKNOWN = VERMILION, "#B2182B", "#ffffff"
 MOST_NODES = 900
 """Nodes drawn along each side at most; beyond that every second, third ... one."""
-DOT, MEAN, CHANGE = "#9fb4c0", "#0072B2", PATH
+DOT, MEAN, CHANGE = "#9fb4c0", BLUE, PATH
 HIGHEST, WINDOW_M = 8.0, 0.4
 """Residuals beyond are drawn at the edge; medians are those of such lengths of the way."""
 ROUNDING_M = 1e-4

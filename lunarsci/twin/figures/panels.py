@@ -10,7 +10,7 @@ from matplotlib.colors import LightSource, Normalize
 from matplotlib.patches import Circle
 
 from lunarsci.arrays import IntArray
-from lunarsci.figure import DOT_STYLES, INK, LINE_STYLES, as_label
+from lunarsci.figure import BLUE, DOT_STYLES, INK, LINE_STYLES, as_label
 from lunarsci.regolith.figure import PARAMETER_LABELS
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.judgement.quantities import abscissa, along
@@ -19,7 +19,7 @@ from lunarsci.twin.judgement.tables import spread
 from lunarsci.twin.plans.plan import AT_LEAST
 from lunarsci.twin.simulation.ensemble import Prediction
 
-ACCENT, LIMIT, GOLD = "#0072B2", "#B2182B", "#f4c430"
+ACCENT, LIMIT, GOLD = BLUE, "#B2182B", "#f4c430"
 """What was predicted; limits and what breaks them; where the drive shall end."""
 MARGIN_M = 3.6
 NO_HEIGHT = "#d9b8b0"

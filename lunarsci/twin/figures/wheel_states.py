@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
 from lunarsci.arrays import FloatArray
-from lunarsci.figure import INK, as_label, headline, legend_below, page
+from lunarsci.figure import BLUE, INK, VERMILION, as_label, headline, legend_below, page
 from lunarsci.twin.figures.panels import ACCENT, GOLD, LABELS, LIMIT, draw_ground, wheel_dots, wheel_line
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
@@ -115,7 +115,7 @@ def _distance_at(drive: DriveStates, times: FloatArray) -> FloatArray:
 
 
 # Left and right wheel, told apart by the colour-blind (Okabe & Ito 2008).
-LEFT, RIGHT = "#0072B2", "#D55E00"
+LEFT, RIGHT = BLUE, VERMILION
 FORCES = ("normal_force_n", "drawbar_pull_n", "lateral_force_n")
 MISSING = ("missing ahead [N]", "missing to the left [N]", "missing moment [N m]")
 

@@ -10,7 +10,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import RequestError
 from lunarsci.io.tables import csv_bytes
-from lunarsci.result import MadeFrom
+from lunarsci.result import MadeFrom, Progress
 from lunarsci.twin.assimilation.segments import planned_places
 from lunarsci.twin.ground.driven_soil import DrivenSoil, GivenSoil
 from lunarsci.twin.ground.finer_ground import check_finer, driven_ground, lengths_checked, patch
@@ -28,7 +28,7 @@ from lunarsci.twin.jobs.plan_request import (
     planned_power,
 )
 from lunarsci.twin.jobs.requests import GroundRequest, PlanRequest
-from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainSurvey, read_site
+from lunarsci.twin.jobs.terrain import SurveyedSite, TerrainSurvey, read_site
 from lunarsci.twin.judgement.choice import Conditions, DriveChoice, choose
 from lunarsci.twin.judgement.keeping import least_drives
 from lunarsci.twin.plans.path import poses_along

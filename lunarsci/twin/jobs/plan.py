@@ -12,7 +12,7 @@ from lunarsci.errors import ParameterError, RequestError
 from lunarsci.io.inputs import read_input
 from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, job
+from lunarsci.result import MadeFrom, Progress, job
 from lunarsci.twin.assimilation.segments import planned_places
 from lunarsci.twin.ground.driven_soil import GivenSoil
 from lunarsci.twin.ground.hazards import ExclusionZone, Traversability, near_way, rover_footprint
@@ -30,7 +30,7 @@ from lunarsci.twin.jobs.plan_request import (
     planned_power,
 )
 from lunarsci.twin.jobs.requests import PlanRequest
-from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainSurvey, read_site
+from lunarsci.twin.jobs.terrain import SurveyedSite, TerrainSurvey, read_site
 from lunarsci.twin.judgement.choice import Conditions
 from lunarsci.twin.judgement.keeping import Chance, keeps_limits
 from lunarsci.twin.judgement.quantities import least_of_95

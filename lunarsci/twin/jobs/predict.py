@@ -12,7 +12,7 @@ from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
 from lunarsci.provenance import sha256, to_json
 from lunarsci.regolith.prior import Question
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import MadeFrom, Progress, Result, job
 from lunarsci.twin.assimilation.segments import planned_places
 from lunarsci.twin.comparison.forecast import FILE, forecast_document, forecast_of
 from lunarsci.twin.ground.finer_ground import Unresolved, with_unresolved
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-Progress = Callable[[int, int], None]
 CORRELATED = ("belief", "samples")
 """Kinds of soils whose parameters go together, so that none of them moves the end by itself."""
 

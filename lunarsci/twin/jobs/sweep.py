@@ -8,7 +8,7 @@ from lunarsci.constants import PAPER
 from lunarsci.errors import ParameterError, RequestError
 from lunarsci.io.inputs import Source
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import MadeFrom, Progress, Result, job
 from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, Soils, named_option, read_drive_inputs
 from lunarsci.twin.jobs.predict import power_of
 from lunarsci.twin.jobs.requests import SweepRequest
@@ -28,9 +28,6 @@ from lunarsci.twin.simulation.ensemble import Prediction, predict
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -11,7 +11,7 @@ from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
 from lunarsci.provenance import sha256
 from lunarsci.regolith.soil import read_soil, soil_hash
-from lunarsci.result import MadeFrom, Result
+from lunarsci.result import MadeFrom, Progress, Result
 from lunarsci.rovers import DEFAULT_ROVER, MadeFor, RoverDescription, made_for, read_rover
 from lunarsci.twin.ground import synthetic
 from lunarsci.twin.ground.driven_soil import DEFAULT_SOIL, DrivenSoil, lay_soil_on, soil_record
@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-Progress = Callable[[int, int], None]
 SOURCES = [
     "Goldberg, Maimone & Matthies (2002), IEEE Aerospace Conf., 10.1109/AERO.2002.1035370",
     "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8",

@@ -7,7 +7,7 @@ The choice among drives: all are driven on the same soils, hopeless ones stop ea
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 
@@ -17,6 +17,7 @@ from lunarsci.arrays import BoolArray, FloatArray, IntArray, spans
 from lunarsci.errors import ParameterError
 from lunarsci.parallel.blocks import run_blocks, shared_out
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
+from lunarsci.result import Progress
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.judgement.energy import expected_energy_j
 from lunarsci.twin.judgement.keeping import CONFIDENCE, Chance, broken, extremes, least_drives, limited, limits_judged
@@ -27,8 +28,6 @@ from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.discrepancy import with_discrepancy
 from lunarsci.twin.simulation.ensemble import DrawnDiscrepancy, PowerState, Prediction, predict
 from lunarsci.twin.simulation.members import Grounds
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

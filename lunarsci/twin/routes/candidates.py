@@ -4,7 +4,7 @@ Which courses are different ways: by the side on which each obstacle is passed, 
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from scipy.ndimage import label, minimum_position
 
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.errors import ParameterError
+from lunarsci.result import Progress
 from lunarsci.twin.ground.hazards import RoverFootprint, Traversability
 from lunarsci.twin.plans.path import arc_end
 from lunarsci.twin.plans.plan import Fixes, Leg, Limit, Plan
@@ -117,8 +118,6 @@ class DistinctWays:
         far = np.hypot(*np.moveaxis(places_m[others] - places_m[one], -1, 0)).max(axis=1) > self.apart_m
         return np.asarray(far | (passed[others] != passed[one]).any(axis=1))
 
-
-Progress = Callable[[int, int], None]
 
 WIDEST_CRAB_DEG, DRAGGED_DEG = 60.0, 5.0
 """A rover is not driven more sidewards than this where all its wheels steer, and where some are dragged; assumed."""

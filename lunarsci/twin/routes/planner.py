@@ -4,7 +4,7 @@ and GeoJSON.
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ import numpy.typing as npt
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.heights.projections import MapProjection, name_of, projection_or_none
+from lunarsci.result import Progress
 from lunarsci.twin.ground.hazards import RoverFootprint, Traversability, nearest_node, rover_footprint, swept_nodes
 from lunarsci.twin.plans.path import TURN_DEG, planned_pose, poses_along
 from lunarsci.twin.plans.plan import Leg, Limit, Plan
@@ -33,7 +34,6 @@ from lunarsci.twin.rover import Rover
 if TYPE_CHECKING:
     import pandas as pd
 
-Progress = Callable[[int, int], None]
 
 NEAR_M = 1.0
 """From a footprint farther than this an obstacle is not taken for what is in the way; assumed. [m]"""

@@ -14,7 +14,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.figure import headline, legend_below, page
+from lunarsci.figure import BLUE, GREEN, VERMILION, headline, legend_below, page
 from lunarsci.provenance import to_json
 from lunarsci.spectra.photometry import Geometry
 from lunarsci.spectra.vnis.calibration import draw_footprint
@@ -415,8 +415,8 @@ def simulation_page(simulation: Simulation) -> "Figure":
     frame = simulation.source.frame
     image.imshow(simulation.vnir[int(np.flatnonzero(VNIR_NM == 750.0)[0])], cmap="gray", interpolation="nearest")
     for mask, color, style, name in (
-        (frame.rock, "#D55E00", "-", "outline of the rock"),
-        (frame.shadow, "#009E73", "-.", "outline of the shadow"),
+        (frame.rock, VERMILION, "-", "outline of the rock"),
+        (frame.shadow, GREEN, "-.", "outline of the shadow"),
     ):
         if mask.any():
             image.contour(mask, levels=[0.5], colors=color, linestyles=style, linewidths=1)
@@ -426,9 +426,9 @@ def simulation_page(simulation: Simulation) -> "Figure":
     image.set(xlabel="sample [px]", ylabel="line [px]", title="image at 750 nm")
     truth = simulation.truth
     spectrum.plot(truth.wavelength_nm, truth.reflectance, color="black", label="lit ground in the field of view")
-    spectrum.plot(truth.wavelength_nm, truth.soil_reflectance, "--", color="#0072B2", label="soil")
+    spectrum.plot(truth.wavelength_nm, truth.soil_reflectance, "--", color=BLUE, label="soil")
     if truth.rock_reflectance is not None:
-        spectrum.plot(truth.wavelength_nm, truth.rock_reflectance, ":", color="#D55E00", label="rock")
+        spectrum.plot(truth.wavelength_nm, truth.rock_reflectance, ":", color=VERMILION, label="rock")
     spectrum.set(xlabel="wavelength [nm]", ylabel="reflectance factor [-]", title="truth, at i 30°, e 0°, g 30°")
     legend_below(figure, (image, spectrum), 3)
     headline(figure, "SYNTHETIC, not a measurement")
