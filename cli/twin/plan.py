@@ -116,7 +116,7 @@ def _choice_table(survey: ChosenDrive) -> TextTable:
     verdict = f"doubtful: {verdict}" if survey.soils.doubt else verdict
     held = f"`twin predict` holds its plan.toml against the same risk, {100 * choice.risk:g} %, which the plan carries"
     notes = [
-        *([survey.soils.doubt] if survey.soils.doubt else []),
+        *survey.soils.doubt.reasons,
         *([] if choice.feasible else [survey.what_next]),
         f"drive {best.number}: {100 * best.stated.risk:.1f} % fail, at most {100 * best.stated.high:.1f} %; it takes "
         f"{best.duration_s / 60:.1f} min; weakest at x {best.weakest.x_m:z.2f} m, y {best.weakest.y_m:z.2f} m: "

@@ -135,7 +135,7 @@ def _verdict_tables(predicted: PredictedDrives) -> list[TextTable]:
         f"{head}: {prediction.plan.name}; {drives} of {short_name(prediction.rover.name)} on {prediction.terrain.name}"
     )
     notes = [
-        *([predicted.soils.doubt] if predicted.soils.doubt else []),
+        *predicted.soils.doubt.reasons,
         *predicted.inputs.soil_notes(prediction.members, len(prediction.parameters)),
         *predicted.inputs.remarks,
         *_endpoint_notes(verdict),

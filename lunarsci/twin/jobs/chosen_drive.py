@@ -10,7 +10,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import RequestError
 from lunarsci.io.tables import csv_bytes
-from lunarsci.result import MadeFrom
+from lunarsci.result import Doubt, MadeFrom
 from lunarsci.twin.assimilation.segments import planned_places
 from lunarsci.twin.ground.driven_soil import DrivenSoil, GivenSoil
 from lunarsci.twin.ground.finer_ground import check_finer, driven_ground, lengths_checked, patch
@@ -173,9 +173,8 @@ class ChosenDrive(TerrainSurvey):
         )
 
     @property
-    def untrusted(self) -> str:
-        parts = [] if self.choice.feasible else [self.why_none]
-        return "; ".join(part for part in (*parts, self.soils.doubt) if part)
+    def doubt(self) -> Doubt:
+        return Doubt.of("" if self.choice.feasible else self.why_none, self.soils.doubt)
 
     @property
     def why_none(self) -> str:

@@ -18,7 +18,7 @@ from lunarsci.regolith.belief import SoilBelief, read_belief
 from lunarsci.regolith.columns import GROUND, ground_name, short_name, written_in
 from lunarsci.regolith.prior import Question, asked_in
 from lunarsci.regolith.states import StateTable
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import Doubt, MadeFrom, Result, job
 from lunarsci.rovers import DEFAULT_ROVER, read_rover, rover_names
 from lunarsci.twin.assimilation.residuals import DriveRecord, pace_of, read_drive_states, read_record
 from lunarsci.twin.comparison import verdict
@@ -84,17 +84,15 @@ class ComparedDrive(Result):
         return MadeFrom(inputs=self.inputs, tables=self.tables, sources=SOURCES, seed=self.seed, options=options)
 
     @property
-    def untrusted(self) -> str:
+    def doubt(self) -> Doubt:
         reasons, predicted = self.comparison.reasons, str(self.matched.forecast.soil.get("doubt") or "")
         paced, states = self.pace.doubt if self.pace else "", self.matched.record.doubt
         driven = f"another drive than the predicted one: {paced}" if paced else ""
         measured = f"doubtful states: {states}" if states else ""
-        doubted = f"the prediction is not to be trusted: {'; '.join(reasons)}" if reasons else ""
+        doubted = Doubt(tuple(reasons), "the prediction is not to be trusted")
         before = f"predicted from doubtful soils: {predicted}" if predicted else ""
         learned = "" if predicted else doubt_of("that learns", self.belief)
-        return "; ".join(
-            part for part in (*map(str, self.questions), doubted, driven, measured, before, learned) if part
-        )
+        return Doubt.of(*self.questions, doubted, driven, measured, before, learned)
 
     @property
     def verdict(self) -> str:

@@ -12,7 +12,7 @@ from lunarsci.io.inputs import InputFile
 from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
 from lunarsci.regolith.soil import read_soil
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import Doubt, MadeFrom, Result, job
 from lunarsci.twin.assimilation.residuals import read_drive_states
 from lunarsci.twin.drives.layouts import trials_in
 from lunarsci.twin.drives.replay import TrialScore, TrialSoils, WheelTurns, score_trial, summary_of
@@ -67,11 +67,13 @@ class ScoredTrials(Result):
         return self.failed
 
     @property
-    def untrusted(self) -> str:
+    def doubt(self) -> Doubt:
         doubtful = [trial.trial for trial in self.trials if trial.doubt]
         if not doubtful:
-            return ""
-        return f"the measured states of {len(doubtful)} of {len(self.trials)} trials are doubtful, first {doubtful[0]}"
+            return Doubt()
+        return Doubt.of(
+            f"the measured states of {len(doubtful)} of {len(self.trials)} trials are doubtful, first {doubtful[0]}"
+        )
 
     def to_dict(self) -> dict[str, Any]:
         kind, name = self.soils

@@ -18,6 +18,7 @@ from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.regolith.prior import Question, asked_in, prior_hash
 from lunarsci.regolith.soil import read_soil, soil_hash, soil_tables, unusual
 from lunarsci.regolith.states import StateTable
+from lunarsci.result import Doubt
 from lunarsci.rovers import DEFAULT_ROVER, RoverDescription, read_rover
 from lunarsci.twin.assimilation.segments import planned_places
 from lunarsci.twin.ground.driven_soil import (
@@ -415,12 +416,12 @@ class Soils:
             warnings.warn(text, LunarSciWarning, stacklevel=3)
 
     @property
-    def doubt(self) -> str:
-        """Why soils should not be driven on, by their fit, its law or the drives of their belief; empty if they may."""
+    def doubt(self) -> Doubt:
+        """Why soils should not be driven on, by their fit, its law or the drives of their belief."""
         fit = "" if self.verdict is None else doubt(self.verdict)
         inputs = self.inputs
         law = other_law(inputs.given.name, inputs.given.verdict, inputs.rover.name)
-        return "; ".join(part for part in (fit, law, inputs.doubt_of_belief) if part)
+        return Doubt.of(fit, law, inputs.doubt_of_belief)
 
     def warn_of_fit(self) -> None:
         """Say the doubt of a fit."""

@@ -19,7 +19,7 @@ from lunarsci.regolith.belief import (
     rolled_back,
 )
 from lunarsci.regolith.prior import PARAMETERS
-from lunarsci.result import MadeFrom, Result
+from lunarsci.result import Doubt, MadeFrom, Result
 from lunarsci.twin.ground.driven_soil import doubt_of
 from lunarsci.twin.jobs.requests import HistoryRequest
 
@@ -78,9 +78,9 @@ class BeliefHistory(Result):
         return any(bool(entry.get("synthetic")) for entry in self.belief.history)
 
     @property
-    def untrusted(self) -> str:
+    def doubt(self) -> Doubt:
         both = ((self.source, self.belief), (self.other_source, self.other))
-        return "; ".join(text for file, belief in both if file and (text := doubt_of(file.name, belief)))
+        return Doubt.of(*(doubt_of(file.name, belief) for file, belief in both if file))
 
     def to_dict(self) -> dict[str, Any]:
         back = self.rolled_back

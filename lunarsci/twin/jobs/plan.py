@@ -12,7 +12,7 @@ from lunarsci.errors import ParameterError, RequestError
 from lunarsci.io.inputs import read_input
 from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, job
+from lunarsci.result import Doubt, MadeFrom, job
 from lunarsci.twin.assimilation.segments import planned_places
 from lunarsci.twin.ground.driven_soil import GivenSoil
 from lunarsci.twin.ground.hazards import ExclusionZone, Traversability, near_way, rover_footprint
@@ -99,12 +99,12 @@ class PlannedMission(TerrainSurvey):
         return chance_of(self.driven.safe)
 
     @property
-    def untrusted(self) -> str:
+    def doubt(self) -> Doubt:
         missed = next((one for one in self.driven.targets if one.fate != "reached"), None)
         parts = [] if missed is None else [f"target '{missed.target.name}' is not reached, {missed.fate}: {missed.why}"]
         if missed is None and self.chance.risk > self.risk:
             parts = [f"the mission is not kept with a chance of {self.chance.risk:.2g}, {self.risk:g} is accepted"]
-        return "; ".join(part for part in (*parts, self.soils.doubt) if part)
+        return Doubt.of(*parts, self.soils.doubt)
 
     def to_dict(self) -> dict[str, Any]:
         driven, mission = self.driven, self.driven.mission

@@ -12,7 +12,7 @@ from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
 from lunarsci.provenance import sha256, to_json
 from lunarsci.regolith.prior import Question
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import Doubt, MadeFrom, Result, job
 from lunarsci.twin.assimilation.segments import planned_places
 from lunarsci.twin.comparison.forecast import FILE, forecast_document, forecast_of
 from lunarsci.twin.ground.finer_ground import Unresolved, with_unresolved
@@ -98,17 +98,15 @@ class PredictedDrives(Result):
         return MadeFrom(inputs=inputs.inputs, tables=inputs.tables, sources=SOURCES, seed=seed, options=options)
 
     @property
-    def untrusted(self) -> str:
-        verdict = self.verdict
-        parts = [] if verdict.verdict == "go" else [f"{verdict.verdict}: {'; '.join(verdict.reasons)}"]
-        return "; ".join(part for part in (*parts, self.soils.doubt) if part)
+    def doubt(self) -> Doubt:
+        return Doubt.of(self.verdict.doubt, self.soils.doubt)
 
     def to_dict(self) -> dict[str, Any]:
         prediction, fitted, before = self.prediction, self.soils.verdict, self.inputs.before
         swept = prediction.parameters.items()
         return {
             **asdict(self.verdict),
-            "doubt": self.soils.doubt or None,
+            "doubt": str(self.soils.doubt) or None,
             "chance": self.verdict.chance.to_dict(),
             **self.inputs.about(),
             "members": prediction.members,

@@ -8,7 +8,7 @@ from lunarsci.constants import PAPER
 from lunarsci.errors import ParameterError, RequestError
 from lunarsci.io.inputs import Source
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import Doubt, MadeFrom, Result, job
 from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, Soils, named_option, read_drive_inputs
 from lunarsci.twin.jobs.predict import power_of
 from lunarsci.twin.jobs.requests import SweepRequest
@@ -66,9 +66,9 @@ class DesignTrade(Result):
         return MadeFrom(inputs=inputs, tables=first.tables, sources=sources, seed=seed, options=first.options)
 
     @property
-    def untrusted(self) -> str:
+    def doubt(self) -> Doubt:
         none = "" if any(design.outcome for design in self.designs) else "no design is possible"
-        return "; ".join(part for part in (none, self.soils[0].doubt) if part)
+        return Doubt.of(none, self.soils[0].doubt)
 
     def to_dict(self) -> dict[str, Any]:
         return {

@@ -12,7 +12,7 @@ from lunarsci.io.inputs import InputFile, Source, read_input
 from lunarsci.options import request_of
 from lunarsci.regolith.belief import SoilBelief, contact_rows, first_belief, parameter_rows, read_belief, with_drive
 from lunarsci.regolith.prior import PARAMETERS, asked_in, prior_hash
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import Doubt, MadeFrom, Result, job
 from lunarsci.twin.assimilation.residuals import DriveRecord, pace_of, read_drive_states, read_record
 from lunarsci.twin.assimilation.segments import Segment, SoilChange, drive_segments, find_change, planned_places
 from lunarsci.twin.assimilation.update import SlipLean, SoilUpdate, assimilate
@@ -123,16 +123,15 @@ class LearnedSoil(Result):
         return MadeFrom(inputs=inputs.inputs, tables=tables, sources=sources, seed=self.seed, options=inputs.options)
 
     @property
-    def untrusted(self) -> str:
-        asked = [*map(str, self.inputs.questions)]
+    def doubt(self) -> Doubt:
+        questions = self.inputs.questions
         if self.segments is not None:
             if not any(segment.learned for segment in self.segments):
-                return f"nothing was learned: {self.segments[0].why_not}"
+                return Doubt.of(f"nothing was learned: {self.segments[0].why_not}")
         elif self.update.refused:
-            return "; ".join(
-                [*asked, f"nothing was learned: {self.update.refused}", *(change.text for change in self.changes)]
-            )
-        return "; ".join(part for part in (*asked, *self.doubts, self.before.doubt) if part)
+            nothing = f"nothing was learned: {self.update.refused}"
+            return Doubt.of(*questions, nothing, *(change.text for change in self.changes))
+        return Doubt.of(*questions, *self.doubts.reasons, self.before.doubt)
 
     @property
     def forces_measured(self) -> bool:
@@ -140,13 +139,13 @@ class LearnedSoil(Result):
         return bool((self.record.values[:, 3:] == self.record.values[:, 3:]).any())
 
     @property
-    def doubts(self) -> list[str]:
+    def doubts(self) -> Doubt:
         """Why what was learned is doubtful, each reason once."""
         parts = [self.update] if self.segments is None else [one.update for one in self.segments if one.learned]
         texts = [self.record.doubt, self.pace.doubt if self.pace else "", *(part.doubt for part in parts if part)]
         leans = [self.slip] if self.segments is None else [one.slip for one in self.segments]
         texts += [lean.doubt for lean in leans if lean]
-        return list(dict.fromkeys(text for text in texts if text))
+        return Doubt.of(*dict.fromkeys(texts))
 
     def to_dict(self) -> dict[str, Any]:
         learned, soil_map = self.update, self.soil_map
@@ -163,7 +162,7 @@ class LearnedSoil(Result):
             "surprise": learned.prior_shift,
             "persistence": learned.autocorrelation,
             "refused": learned.refused or None,
-            "doubt": "; ".join(self.doubts) or None,
+            "doubt": str(self.doubts) or None,
             "caution": "; ".join(self.before.cautions(learned)) or None,
             "pace": None if self.pace is None else self.pace.to_dict(),
             "slip_ratio": None if self.slip is None else self.slip.to_dict(),
@@ -297,7 +296,7 @@ class _DrivenLine:
                 "ruts": learned.prediction.ruts,
                 "surprise": learned.prior_shift,
                 "refused": learned.refused,
-                "doubt": "; ".join(text for text in doubts if text),
+                "doubt": str(Doubt.of(*doubts)),
             }
             | ({"caution": caution} if caution else {})
             | ({"synthetic": True} if self.inputs.terrain.synthetic else {})

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from lunarsci.arrays import FloatArray
+from lunarsci.result import Doubt
 from lunarsci.twin.ground.finer_ground import Unresolved
 from lunarsci.twin.judgement.endpoint import Endpoint, endpoint_spread
 from lunarsci.twin.judgement.keeping import (
@@ -216,6 +217,11 @@ class Verdict:
     members: int
     accepted_risk: float | None = None
     keep_outs: tuple[Encounter, ...] = ()
+
+    @property
+    def doubt(self) -> Doubt:
+        """Why not to drive, begun by the verdict; none for `go`."""
+        return Doubt() if self.verdict == "go" else Doubt.of(*self.reasons, verdict=self.verdict)
 
     @property
     def chance(self) -> Chance:
