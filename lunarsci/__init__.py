@@ -11,7 +11,8 @@ Every main job of the command line is a function here, with the same defaults, r
 
 Each takes paths, open files, tables or arrays, and options by name, which its help lists. Each gives a `Result`:
 `print` shows the text of the command, `.to_table()` is an astropy QTable, `.plot()` a matplotlib Figure, `.to_dict()`
-the `result` of `--json`, `.untrusted` why it should not be trusted, `.doubt` the same reason by reason. Jobs are imported when they are first named.
+the `result` of `--json`, `.untrusted` why it should not be trusted, `.doubt` the same reason by reason. Jobs are
+imported when they are first named.
 On the command line alone: `info`, `spectra map`, `spectra library`, `twin simulate`.
 """
 

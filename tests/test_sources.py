@@ -61,7 +61,7 @@ SETTINGS = {
         "twin/ground/soil_map.py: MARGIN_M, NODES_ABOUT",
         "twin/routes/planner.py: EVERY_M, SHOWN_M", "twin/telemetry/simulated.py: DENSE_M",
         "twin/comparison/scores.py: REGIONS", "twin/comparison/scores.py: NOMINAL",
-        "twin/judgement/keeping.py: CONFIDENCE", "twin/drives/layouts.py: MARGIN_M, MARGIN_SHARE, NODES"),
+        "twin/plans/risk.py: CONFIDENCE", "twin/drives/layouts.py: MARGIN_M, MARGIN_SHARE, NODES"),
     "how long machines are waited for, and how much memory is taken": (
         "parallel/dask_cluster.py: CONNECT_S, LONELY_S, LOOK_S", "twin/simulation/contact.py: MOST_NODES"),
     "steps, starts and ends of a search or a sum, and where floating point runs out: finer ones give the same": (

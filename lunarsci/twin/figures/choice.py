@@ -50,8 +50,8 @@ def candidate_map(surface: Traversability, choice: DriveChoice) -> Figure:
     _mark_choice(axes, choice)
     bar = figure.colorbar(scale, ax=axes, fraction=0.03, pad=0.01, shrink=0.9)
     bar.set_label("chance of failing [-]")
-    bar.ax.axhline(choice.risk, color=INK, linewidth=2.0)
-    bar.ax.annotate("accepted", (0.0, choice.risk), (-3, -3), xycoords=("axes fraction", "data"),
+    bar.ax.axhline(choice.risk.share, color=INK, linewidth=2.0)
+    bar.ax.annotate("accepted", (0.0, choice.risk.share), (-3, -3), xycoords=("axes fraction", "data"),
                     textcoords="offset points", ha="right", color=INK)  # fmt: skip
     axes.set_title(wrapped(_choice_headline(choice), 0.8 * PAGE_IN))
     title = f"{len(choice.candidates)} drives compared on {as_label(terrain.name)}; hatched: hazard"
@@ -68,9 +68,9 @@ def _choice_headline(choice: DriveChoice) -> str:
     best = choice.best
     share = f"{100 * best.stated.risk:.1f} % (at most {100 * best.stated.high:.1f} %) fail"
     if choice.feasible:
-        return f"drive {best.number}: {as_label(best.plan.name)}; {share}, {100 * choice.risk:g} % accepted"
+        return f"drive {best.number}: {as_label(best.plan.name)}; {share}, {100 * choice.risk.share:g} % accepted"
     safest = f"the safest is {best.number}, {as_label(best.plan.name)}: {share}"
-    return f"no drive fails with {100 * choice.risk:g} % or less; {safest}"
+    return f"no drive fails with {100 * choice.risk.share:g} % or less; {safest}"
 
 
 def _frame(surface: Traversability, choice: DriveChoice) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -144,12 +144,12 @@ def front_page(choice: DriveChoice) -> Figure:
         _draw_risks(axes, choice, name)
         named[axes] = [(str(one.number), getattr(one, name), one.stated.risk) for one in choice.front]
         axes.set_xlabel(label)
-        axes.axhline(choice.risk, color=INK, linewidth=1.0, linestyle="--")
+        axes.axhline(choice.risk.share, color=INK, linewidth=1.0, linestyle="--")
         axes.set_yscale("log")
         axes.set_ylim(LEAST_SHOWN * 0.6, 1.3)
         axes.grid()
     panels[0].set_ylabel("chance of failing [-]")
-    panels[0].text(0.01, choice.risk * 1.06, "accepted", transform=panels[0].get_yaxis_transform(), color=INK)
+    panels[0].text(0.01, choice.risk.share * 1.06, "accepted", transform=panels[0].get_yaxis_transform(), color=INK)
     legend_below(figure, panels)
     title = "what less risk costs; bars: 5 % to 95 %, from the number of drives"
     headline(figure, title, synthetic=choice.best.prediction.terrain.synthetic)

@@ -33,6 +33,7 @@ from lunarsci.twin.judgement.energy import PowerUse, energy_record, power_record
 from lunarsci.twin.judgement.safety import Verdict, judge, undecided
 from lunarsci.twin.judgement.tables import check_loads
 from lunarsci.twin.plans.plan import Plan
+from lunarsci.twin.plans.risk import AcceptedRisk
 from lunarsci.twin.simulation.discrepancy import with_discrepancy
 from lunarsci.twin.simulation.ensemble import PowerState, Prediction
 
@@ -200,7 +201,7 @@ def predict(
     questions = inputs.asked(heights=asked.heights_without_unit, as_written=asked.as_written).questions
     inputs, unresolved = (inputs, None) if asked.exact_terrain else _rough(inputs, asked.seed or 0)
     if asked.risk is not None:
-        inputs = replace(inputs, plan=replace(inputs.plan, accepted_risk=asked.risk))
+        inputs = replace(inputs, plan=replace(inputs.plan, accepted_risk=AcceptedRisk(asked.risk)))
     soils = Soils.of(inputs, asked.sweep or None, asked.members, asked.seed or 0)
     soils.warn_of_seed(asked.seed)
     prediction = predict_drives(soils, asked.time_step, asked.sample, progress)

@@ -210,7 +210,7 @@ class PlanRequest(GroundRequest):
 
     def __post_init__(self) -> None:
         check_intervals(self, {SHARE: "charge", CHANCE: "risk"})
-        if self.mission is not None:
+        if self.purpose == "mission":
             self._check_mission()
             return
         if not self.target:
@@ -220,7 +220,7 @@ class PlanRequest(GroundRequest):
         for name, counts in (("start", (3,)), ("target", (2, 3))):
             if name == "target" or not self.start_files:
                 object.__setattr__(self, name, _numbers(name, getattr(self, name), counts))
-        if self.risk is None:
+        if self.purpose == "path":
             self._check_path()
         else:
             check_intervals(self, {"[2, inf)": "members", "[1, inf)": "candidates", POSITIVE: "tolerance"})
@@ -244,6 +244,11 @@ class PlanRequest(GroundRequest):
             raise RequestError("several soils are for drives that are compared; give `risk`, too, or one `soil`")
 
     @property
+    def purpose(self) -> Literal["path", "choice", "mission"]:
+        """What is planned: a path alone, the choice of a drive by its risk, or a mission of several legs."""
+        return "mission" if self.mission is not None else "path" if self.risk is None else "choice"
+
+    @property
     def start_files(self) -> tuple[str, ...]:
         """The table that says where the rover stands; none where numbers do."""
         if not isinstance(self.start, str) or not Path(self.start).exists():
@@ -263,7 +268,7 @@ class PlanRequest(GroundRequest):
 
     def made(self, terrain: str) -> dict[str, Any]:
         """As of a ground; where soils are drawn the seed is theirs, too."""
-        alone = (self.risk is None and self.mission is None) or terrain in MAKERS
+        alone = self.purpose == "path" or terrain in MAKERS
         return GroundRequest.made(self if alone else replace(self, seed=None), terrain)
 
     def limits_of_ground(self) -> dict[str, float | None]:

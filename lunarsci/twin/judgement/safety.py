@@ -17,17 +17,16 @@ from lunarsci.twin.judgement.endpoint import Endpoint, endpoint_spread
 from lunarsci.twin.judgement.keeping import (
     NEVER_BROKEN,
     PLAN_HAS_NONE,
-    Chance,
     broken,
     extremes,
     keeps_limits,
-    least_drives,
     limits_judged,
     not_judged,
 )
 from lunarsci.twin.judgement.quantities import Encounter, clearance, encounters, least_of_95, most_of_95
 from lunarsci.twin.lanes import HOLE, LEFT, OUTCOMES
 from lunarsci.twin.plans.plan import Limit, Plan, check_limits
+from lunarsci.twin.plans.risk import AcceptedRisk, Chance
 from lunarsci.twin.simulation.contact import DEEPEST, SHALLOWEST, VALID_SLIP
 from lunarsci.twin.simulation.ensemble import MOST_BEYOND, STATE_COLUMNS, Prediction
 
@@ -253,8 +252,8 @@ def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
     finished = prediction.finished
     limits = limits_judged(prediction) if finished.any() else ()
     risk = prediction.plan.accepted_risk
-    risk = None if risk is None or prediction.members < least_drives(risk) else risk
-    share = MOST if risk is None else 1.0 - risk
+    risk = None if risk is None or prediction.members < risk.least_drives else risk
+    share = MOST if risk is None else risk.keeping
     judged = tuple(j for limit in limits if (j := _judge_limit(prediction, limit, share)) is not None)
     outcomes = {
         OUTCOMES[int(k)]: int(n) for k, n in zip(*np.unique(prediction.outcome, return_counts=True), strict=True)
@@ -284,7 +283,7 @@ def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
         worst=_worst(prediction, judged),
         failed=chance.failed,
         members=chance.drives,
-        accepted_risk=risk,
+        accepted_risk=None if risk is None else risk.share,
         keep_outs=near,
     )
 
@@ -328,20 +327,20 @@ def _beyond_model(states: Validity) -> list[str]:
     ]
 
 
-def _beyond(risk: float, chance: Chance) -> list[str]:
+def _beyond(risk: AcceptedRisk, chance: Chance) -> list[str]:
     """Why the chance of failing is too large, where it is."""
-    if chance.risk <= risk:
+    if risk.accepts(chance):
         return []
     return [
         f"{chance.failed} of {chance.drives} drives break a limit or do not end: a risk of {percent(chance.risk)}, "
-        f"{percent(risk)} is accepted"
+        f"{percent(risk.share)} is accepted"
     ]
 
 
-def _within(risk: float, chance: Chance) -> str:
+def _within(risk: AcceptedRisk, chance: Chance) -> str:
     return (
         f"{chance.failed} of {chance.drives} drives break a limit or do not end: a risk of {percent(chance.risk)}, at "
-        f"most {percent(chance.high)}; {percent(risk)} is accepted, and decides"
+        f"most {percent(chance.high)}; {percent(risk.share)} is accepted, and decides"
     )
 
 

@@ -12,10 +12,11 @@ from typing import Any, Literal
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.io.documents import check_keys, number_of, record_of, records_of, toml_of
 from lunarsci.io.inputs import Source, read_input
-from lunarsci.ranges import CHANCE, FINITE, NOT_NEGATIVE, POSITIVE, check_range, check_ranges, refuse
+from lunarsci.ranges import FINITE, NOT_NEGATIVE, POSITIVE, check_range, check_ranges, refuse
 from lunarsci.rovers import MadeFor
 from lunarsci.twin.ground.hazards import ExclusionZone
 from lunarsci.twin.ground.terrain import OVERRIDES, soil_override
+from lunarsci.twin.plans.risk import AcceptedRisk
 from lunarsci.twin.rover import Rover
 
 # Quantities that can be limited, and their units.
@@ -244,7 +245,7 @@ class Plan:
     made_for : the rover that it was planned for, where that is known.
     has_limits : whether its file has limits; without, they are those of the rover that drives it (`MadeForCheck`).
     crs : the coordinate system of x and y as well-known text; empty for a local frame.
-    accepted_risk : chance of failing that it was chosen with, above 0 and below 1; None for the rule of `judge`. [-]
+    accepted_risk : chance of failing that it was chosen with; None for the rule of `judge`.
     """
 
     name: str
@@ -262,12 +263,12 @@ class Plan:
     made_for: MadeFor | None = None
     has_limits: bool = field(default=True, compare=False)
     crs: str = ""
-    accepted_risk: float | None = None
+    accepted_risk: AcceptedRisk | None = None
 
     def __post_init__(self) -> None:
         if not self.legs:
             raise ParameterError("the plan has no leg; its length is zero, so there is nothing to drive")
-        names = {CHANCE: "accepted_risk", NOT_NEGATIVE: "blend_m", FINITE: "x_m y_m heading_deg"}
+        names = {NOT_NEGATIVE: "blend_m", FINITE: "x_m y_m heading_deg"}
         check_ranges(self, names | {f"[{SLOWEST_M_S}, inf)": "speed_m_s", LENGTHS_M: "length_m"}, "the plan's")
         if not self.exclusion_zones and any(limit.quantity == "keep_out_m" for limit in self.limits):
             raise ParameterError("limit keep_out_m without a [[keep_out]]; give the circles to keep out of")
@@ -356,6 +357,7 @@ def parse_plan(text: str | bytes, origin: str) -> Plan:
         check_keys(sweep, OVERRIDES, "[sweep]")
         if "speed_m_s" not in drive:
             raise ParameterError("[drive] has no speed_m_s")
+        risk = drive.pop("accepted_risk", None)
         given_limits = tuple(parse_limit(quantity, entry) for quantity, entry in limits.items())
         return Plan(
             name=str(document.get("name", origin)),
@@ -368,6 +370,7 @@ def parse_plan(text: str | bytes, origin: str) -> Plan:
             made_for=MadeFor.from_table(document["made_for"]) if "made_for" in document else None,
             has_limits="limits" in document,
             crs=str(document.get("crs", "")),
+            accepted_risk=None if risk is None else AcceptedRisk(number_of(risk, "accepted_risk")),
             **{key: number_of(value, key) for key, value in (start | drive).items()},
         )
     except ParameterError as error:
@@ -382,8 +385,8 @@ def plan_text(plan: Plan) -> str:
         rows = (f"{name} = {_quoted(value) if isinstance(value, str) else repr(float(value))}" for name, value in made)
         lines += ["", "[made_for]", *rows]
     lines += ["", "[start]", *_numbers(plan, "x_m", "y_m", "heading_deg")]
-    risk = () if plan.accepted_risk is None else ("accepted_risk",)
-    lines += ["", "[drive]", *_numbers(plan, "speed_m_s", "blend_m", *risk)]
+    lines += ["", "[drive]", *_numbers(plan, "speed_m_s", "blend_m")]
+    lines += [] if plan.accepted_risk is None else [f"accepted_risk = {float(plan.accepted_risk.share)!r}"]
     for leg in plan.legs:
         lines += ["", "[[leg]]"]
         lines += _numbers(leg, *(name for name in Leg.__slots__ if name != "wheel_test" and getattr(leg, name)))
