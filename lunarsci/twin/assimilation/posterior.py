@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.regolith.prior import PARAMETERS
-from lunarsci.tempering import ACCEPTED, WALK, Moves, forget, largest_power, weights
+from lunarsci.tempering import ACCEPTED, WALK, Moves, largest_power, mutate, weights
 from lunarsci.twin.assimilation.residuals import HUBER, OBSERVED, POSITION, DriveResiduals, cost_of, robust_cost
 
 BATCH = 8
@@ -473,7 +473,7 @@ def draw_particles(
             break
     emulated = _Emulated(posterior, drives, mode, root)
     population = _Proposed(posterior, emulated, drives, particles, random)
-    _, left = forget(population, 1.0, PROPOSALS, lambda done: report(ROUNDS + done, total))
+    _, left = mutate(population, 1.0, PROPOSALS, lambda done: report(ROUNDS + done, total))
     report(total, total)
     arrived = np.flatnonzero(np.isfinite(population.excess))
     return population.points[arrived[np.arange(particles) % len(arrived)]], left

@@ -499,7 +499,7 @@ def drive_segments(
     update: SoilUpdate,
     soil_map: SoilMap,
     *,
-    forget: float = 0.0,
+    forgotten: float = 0.0,
     particles: int,
     seed: int = 0,
     false_alarms: float = FALSE_ALARMS,
@@ -512,7 +512,7 @@ def drive_segments(
     rover, terrain, plan : what was driven where.
     record, update, false_alarms : as in `find_change`.
     soil_map : what was believed of the soil by place.
-    forget : share of the way back to the first laws, as in `SoilBelief.forgotten`. [-]
+    forgotten : share of the way back to the first laws, as in `SoilBelief.forgotten`. [-]
     particles, seed, progress : as in `assimilate`.
 
     Of a stretch beside others count the states of times at which the whole rover stood in it, and no position: where
@@ -522,7 +522,7 @@ def drive_segments(
     way = traverse_of(update.prediction)
 
     def believed(place_m: FloatArray) -> SoilBelief:
-        return soil_map.belief_along(place_m).inflated(forget)
+        return soil_map.belief_along(place_m).forgotten(forgotten)
 
     def learned(states: DriveRecord, low: float, high: float) -> _Part:
         before = believed(way.between(low, high))

@@ -326,7 +326,7 @@ def _taught(
     """The discrepancy after a drive, by what the soil that explains it best leaves of its states and of its end."""
     law = before
     if drive.counted[:, :3].any():
-        law = law.with_states(unexplained_share(drive, expected, best))
+        law = law.after_states(unexplained_share(drive, expected, best))
     times = drive.record.fix_time_s
     if not len(times):
         return law
@@ -336,7 +336,7 @@ def _taught(
     counted = drive.record.fix_covariance_m2[last] + FIX_ERROR_M**2 * np.eye(2)
     counted += turn_matrix(drive.plan, best.planned[so_far], best.distance_m[so_far], best.paths[:, so_far])
     miss = FOLLOWED * (drive.record.fix_m[last] - place)
-    return law.with_miss(miss, counted, way_matrix(best.planned[so_far, :2], best.paths[:, so_far, :3]))
+    return law.after_end(miss, counted, way_matrix(best.planned[so_far, :2], best.paths[:, so_far, :3]))
 
 
 def unexplained_share(drive: DriveResiduals, expected: FloatArray, best: Prediction) -> float:

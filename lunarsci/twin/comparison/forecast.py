@@ -407,7 +407,7 @@ def taught(matched: MatchedObservations, before: PhysicsDiscrepancy) -> PhysicsD
     """The discrepancy after the drive: the way's shares by the last position, those of wheel states by their means."""
     after, result = before, _miss_parts(matched)
     if result is not None:
-        after = after.with_miss(result.miss, result.soil + result.place + result.turns, result.way)
+        after = after.after_end(result.miss, result.soil + result.place + result.turns, result.way)
     for name in SHARED:
         column = OBSERVED.index(name)
         rows = matched.counted[:, column]
@@ -429,4 +429,4 @@ def _by_mean(
         return before
     miss = float((matched.record.values[rows, column] - members.mean(axis=0)).mean())
     error = float((matched.sigma[rows, column] ** 2).mean()) / int(rows.sum()) + MODEL_ERRORS[name] ** 2
-    return before.with_quantity(name, miss, float(means.var(ddof=1)) + error, abs(float(means.mean())))
+    return before.after_quantity(name, miss, float(means.var(ddof=1)) + error, abs(float(means.mean())))

@@ -11,7 +11,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.errors import DataError, RequestError
 from lunarsci.io.documents import toml_document
-from lunarsci.io.inputs import InputFile, read_input
+from lunarsci.io.inputs import InputFile, Source, read_input
 from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.names import one_of
 from lunarsci.regolith.belief import FitVerdict, SoilBelief, first_belief, read_belief, read_verdict
@@ -163,7 +163,7 @@ class GivenSoil:
         """
         result = cls()
         for name in (soil,) if isinstance(soil, str) else soil or ():
-            one = cls._of(name)
+            one = cls.of_source(name)
             taken = result.named if one.file is None else result.name
             if taken:
                 what = "soil" if one.file is None else "soils"
@@ -174,16 +174,17 @@ class GivenSoil:
         return result
 
     @classmethod
-    def _of(cls, name: str) -> "GivenSoil":
+    def of_source(cls, source: Source) -> "GivenSoil":
         """What one name or file is: priors, a soil by name or as TOML, laws of its parameters, JSON, or samples."""
-        if name == PRIORS:
+        if source == PRIORS:
             file = InputFile(PRIORS, first_belief().to_json().encode())
             return cls(file=file, of="belief", belief=first_belief())
-        like_a_file = name == "-" or Path(name).is_file() or name.lower().endswith((".json", ".csv"))
-        if name in soil_tables() or not like_a_file:
-            return cls(named=name)
-        file = read_input(name)
-        if file.data.lstrip().startswith(b"{") or name.lower().endswith(".json"):
+        if isinstance(source, str):
+            like_a_file = source == "-" or Path(source).is_file() or source.lower().endswith((".json", ".csv"))
+            if source in soil_tables() or not like_a_file:
+                return cls(named=source)
+        file = read_input(source)
+        if file.data.lstrip().startswith(b"{") or file.name.lower().endswith(".json"):
             if MAP_SCHEMA.encode() in file.data:
                 return cls(file=file, of="map", soil_map=read_soil_map(file))
             return cls(file=file, of="belief", belief=read_belief(file))
@@ -191,7 +192,7 @@ class GivenSoil:
             return cls(file=file, of="samples")
         if _has_laws(file.data):
             return cls(file=file, of="belief", belief=first_belief(read_prior(file)))
-        return cls(named=name)
+        return cls(named=file.name)
 
     @property
     def name(self) -> str:

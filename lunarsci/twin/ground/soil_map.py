@@ -195,7 +195,7 @@ class SoilMap:
         if not self.zones:
             return FIRST
         first = self.zones[int(self._zone_shares(blend).argmax())].belief.discrepancy
-        return first.inflated(float(np.clip(blend.unknown.mean(), 0.0, 1.0)))
+        return first.forgotten(float(np.clip(blend.unknown.mean(), 0.0, 1.0)))
 
     def _zone_shares(self, blend: Blend) -> FloatArray:
         """What each zone counts for, on average over the places. (zones,) [-]"""

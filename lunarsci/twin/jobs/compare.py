@@ -242,7 +242,7 @@ def _taught(matched: MatchedObservations, belief: InputFile, states: InputFile) 
             f"{belief.name} has learned from {states.name} already; compare first, then update by the drive"
         )
     line = {"states": Path(states.name).name, "sha256": states.sha256, "plan": forecast.plan.name, "how": "comparison"}
-    return before, replace(before, discrepancy=taught(matched, before.discrepancy).with_score(**line))
+    return before, replace(before, discrepancy=taught(matched, before.discrepancy).with_source(**line))
 
 
 def _standing(standing: Standing | None) -> dict[str, Any]:

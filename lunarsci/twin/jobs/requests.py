@@ -489,8 +489,8 @@ class UpdateRequest(RoverOnGround):
     ----------
     plan : Plan that was driven (TOML); the embedded one if left out.
     positions : Positions from localisation (CSV): time_s, x_m, y_m, and errors as in `twin states`.
-    soil : What was believed before (JSON): a belief, or a soil map, which keeps the soil by place; the priors if left
-        out.
+    soil : What was believed before: a belief or a soil map (JSON), which keeps the soil by place, or a file of priors;
+        the priors if left out.
     forget : Share of the way back to the first priors, for ground further on.
     by_place : whether the soil is kept by place, as it is where `soil` is a map.
     correlation : Distance in m over which soils are alike; the map's, or 5, if left out.
