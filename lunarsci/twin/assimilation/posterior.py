@@ -24,16 +24,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import BoolArray, FloatArray, IndexArray
+from lunarsci.arrays import SIGNIFICANCE, BoolArray, FloatArray, IndexArray
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.tempering import ACCEPTED, WALK, Moves, largest_power, mutate, weights
 from lunarsci.twin.assimilation.residuals import HUBER, OBSERVED, POSITION, DriveResiduals, cost_of, robust_cost
 
 BATCH = 8
 """Values of one wheel that are averaged; assumed longer than what sensors remember, shorter than a drive."""
-CHANCE = 0.01
-"""Of a false alarm of a test of an update: that a variance as large comes from the errors alone, below which these are
-widened, and that a soil changes; assumed."""
 MEDIAN_VARIANCE = np.pi / 2
 """Of the median of n normal values, times n over theirs."""
 
@@ -56,7 +53,7 @@ def wheel_errors(drive: DriveResiduals, residuals: FloatArray) -> dict[str, floa
         noise = np.array([MEDIAN_VARIANCE / part.size for part in parts])
         weight = 1.0 / noise
         excess = (weight * (medians - np.average(medians, weights=weight)) ** 2).sum() - (len(parts) - 1)
-        if excess + len(parts) - 1 > chdtri(len(parts) - 1, CHANCE):
+        if excess + len(parts) - 1 > chdtri(len(parts) - 1, SIGNIFICANCE):
             result[name] = float(np.sqrt(excess / (weight.sum() - (weight**2).sum() / weight.sum())))
     return result
 
@@ -86,7 +83,7 @@ def inflation_of(drive: DriveResiduals, residuals: FloatArray, places: FloatArra
         if means.size < 2:
             continue
         variance = float((means**2).mean())
-        if variance > chdtri(means.size, CHANCE) / means.size:
+        if variance > chdtri(means.size, SIGNIFICANCE) / means.size:
             result[name] = float(np.sqrt(variance))
     return result
 
@@ -98,7 +95,8 @@ def _by_wheel(drive: DriveResiduals, values: FloatArray, k: int) -> list[FloatAr
 
 
 PRESSURE_PA = 5000.0
-"""Mean pressure below a wheel; assumed, near the 4 kPa of Ding et al. (2024), 10.1038/s41467-024-46233-8."""
+"""Mean pressure below a wheel about which coordinates are straight, near the 4 kPa of Ding et al. (2024),
+10.1038/s41467-024-46233-8; no posterior depends on it."""
 STIFFNESS, EXPONENT, COHESION, FRICTION = (
     PARAMETERS.index(name) for name in ("stiffness_kpa_m_n", "sinkage_exponent", "cohesion_pa", "friction_angle_deg")
 )

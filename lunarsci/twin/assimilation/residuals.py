@@ -25,7 +25,7 @@ from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact import VALID_SLIP
 from lunarsci.twin.simulation.discrepancy import exposed_turns, turn_lever
-from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
+from lunarsci.twin.simulation.ensemble import MOST_BEYOND, STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.telemetry.checks import WheelPace
 from lunarsci.twin.telemetry.reading import Positions, joint_m2, read_positions
 
@@ -164,10 +164,6 @@ def _forget_slips(file: str, table: "pd.DataFrame", values: FloatArray) -> None:
         values[np.ix_(derived, columns)] = np.nan
 
 
-LATE = 0.05
-"""Share of states or positions after the end of a drive beyond which the clock is not its own; assumed."""
-
-
 def pace_of(record: DriveRecord, rover: Rover, plan: Plan) -> WheelPace | None:
     """How fast the wheels of a record turned beside a plan; None where it does not say."""
     if record.rim_m_s is None or not len(record.time_s):
@@ -182,7 +178,7 @@ def check_clock(record: DriveRecord, end_s: float, spacing_s: float) -> None:
     """Raises ParameterError for a record that goes on more than a sample after the end of the drive."""
     for what, times in (("states", record.time_s), ("positions", record.fix_time_s)):
         late = int((times > end_s + spacing_s).sum())
-        if late > LATE * len(times):
+        if late > MOST_BEYOND * len(times):
             raise ParameterError(
                 f"{late} of {len(times)} {what} are later than the end of the drive at {end_s:.0f} s; is it the plan "
                 "that was driven, and time_s in seconds from its start?"

@@ -23,12 +23,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.arrays import SIGNIFICANCE, BoolArray, FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief, effective_rows
 from lunarsci.regolith.prior import PARAMETERS
-from lunarsci.twin.assimilation.posterior import CHANCE
-from lunarsci.twin.assimilation.residuals import HUBER, MODEL_ERRORS, OBSERVED, DriveRecord, states_at
+from lunarsci.twin.assimilation.residuals import HUBER, MODEL_ERRORS, OBSERVED, SAMPLE_M, DriveRecord, states_at
 from lunarsci.twin.assimilation.update import SlipLean, SoilUpdate, assimilate
 from lunarsci.twin.ground.soil_map import SoilMap
 from lunarsci.twin.ground.terrain import Terrain
@@ -37,8 +36,9 @@ from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import LONGEST_SAMPLE_M, LONGEST_STEP_S, Prediction, predict
 
-BIN_M, MOST_BINS = 0.2, 200
-"""Length of way over which residuals are averaged, longer where the drive has more pieces; assumed."""
+BIN_M, MOST_BINS = 2.0 * SAMPLE_M, 200
+"""Length of way over which residuals are averaged: two samples of a drive, between which states are interpolated;
+longer where the drive has more pieces, whose covariance takes their number squared."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -294,11 +294,11 @@ def _noise(bins: TrackBins, rest: FloatArray, fitted: float) -> tuple[FloatArray
 
 
 NUDGE = 0.1
-"""Widths of the first laws by which soils are moved for derivatives; assumed."""
+"""Widths of the first laws by which soils are moved to either side for derivatives."""
 WITHIN_95 = 7.35
 """Fall of the statistic from its top within which the place lies, at 95 %: Hansen (2000), Econometrica 68, 575,
 10.1111/1468-0262.00124."""
-FALSE_ALARMS = CHANCE
+FALSE_ALARMS = SIGNIFICANCE
 """Wanted share of drives over one soil in which a change is found; 0.05 at most where the twin is off by its errors."""
 MODEL_SHARE = 2.0
 """Of `MODEL_ERRORS`, which are those of single values, by which the twin may be off over metres of way; assumed, and
@@ -307,7 +307,8 @@ FINER = 0.25
 """Of the time step."""
 MOST_SEGMENTS = 16
 FEWEST_VALUES = 2 * len(PARAMETERS)
-"""Of a stretch whose soil is learned, and whose median slip is judged, assumed; with fewer it stays as believed."""
+"""Of a stretch whose soil is learned, and whose median slip is judged: as many are left to judge it by as it takes.
+With fewer it stays as believed."""
 NAMED = 1.0
 """Steps of a measured quantity that are named, in its errors; assumed."""
 

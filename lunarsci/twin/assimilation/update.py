@@ -48,14 +48,14 @@ from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.discrepancy import TURNS, exposed, turn_matrix, way_matrix
-from lunarsci.twin.simulation.ensemble import Prediction, predict
+from lunarsci.twin.simulation.ensemble import MOST_BEYOND, Prediction, predict
 
 PARTICLES, FEWEST_PARTICLES = 128, 32
 ROUNDS = 2
 """Of widening errors by what the best soil leaves, and looking for it again."""
-MOST_OUTLIERS, MOST_INFLATION = 0.05, 5.0
-"""Share of outliers beyond which the twin does not explain a drive, and factor of the errors beyond which it is asked
-whether it does: sensors that measure better than the twin's law holds are no fault of the drive. Assumed."""
+MOST_INFLATION = 5.0
+"""Factor of the errors beyond which it is asked whether the twin explains a drive: sensors that measure better than the
+twin's law holds are no fault of the drive. Assumed."""
 UNEXPLAINED = 0.8
 """Root mean square of what the best soil leaves of a quantity, as a share of that of the quantity, from which on the
 twin explains nothing of it, as with a wrong sign or unit; of a position, as a share of the way, a tenth. Assumed."""
@@ -87,7 +87,7 @@ WIDENED = 2.0
 went. So it is of 1 of 70 right beliefs and of 10 of 38 of other physics, rovers and tracks that nothing else doubts,
 measured by `tests/benchmarks/leaning.py` (docs/validation/drive.md). [-]"""
 STILL = 1.1
-"""Factor of the errors that is no longer worth another round; assumed."""
+"""Factor of the errors in a round that has converged."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -361,7 +361,7 @@ def _refusal(
     drive: DriveResiduals, outliers: int, wheels: Mapping[str, float], expected: FloatArray, best: Prediction
 ) -> str:
     look = "look for a wrong plan, terrain or clock, or begin anew with another belief"
-    if outliers > MOST_OUTLIERS * (values := int(drive.counted.sum())):
+    if outliers > MOST_BEYOND * (values := int(drive.counted.sum())):
         return f"{outliers} of {values} values are explained by no soil of the belief; {look}"
     left = _unexplained(drive, expected, best)
     worst = max(left, key=lambda name: left[name], default="")

@@ -17,6 +17,7 @@ from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.twin.assimilation.residuals import MODEL_ERRORS, OBSERVED
 from lunarsci.twin.comparison.forecast import MatchedObservations
 from lunarsci.twin.judgement.endpoint import ErrorEllipse
+from lunarsci.twin.plans.motion import CLOCK_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,8 +245,6 @@ def correlation_length(series: FloatArray, taken: int = 0) -> float:
 
 REGIONS = (0.5, 0.9, 0.95, 0.99)
 """Shares of a prediction that regions are given for."""
-LATE_S = 1.0
-"""A position this long before the plan ends still counts as one of its end: the rover slows down there. Assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -320,7 +319,7 @@ def check_end(matched: MatchedObservations, seed: int = 0) -> EndCheck | None:
     enough = len(members) > len(off) + 2
     return EndCheck(
         time_s=float(times[last]),
-        at_end=bool(times[last] >= matched.forecast.time_s[-1] - LATE_S),
+        at_end=bool(times[last] >= matched.forecast.time_s[-1] - CLOCK_S),
         x_m=float(measured[0]),
         y_m=float(measured[1]),
         predicted_x_m=float(mean[0]),

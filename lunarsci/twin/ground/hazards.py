@@ -28,7 +28,7 @@ from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.rover import Rover
 
 OVERHANG = 1.05
-"""The discs that cover the rectangle are at most so many half widths in radius; assumed."""
+"""The discs that cover the rectangle are at most so many half widths in radius: nearer 1 there are more of them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

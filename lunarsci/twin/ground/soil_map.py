@@ -34,7 +34,8 @@ from lunarsci.twin.ground.terrain import Terrain, build_terrain
 CORRELATION_M = 5.0
 """Distance over which soils resemble each other, where none is given; assumed."""
 REACH_M = 0.6
-"""Half the width of ground that a drive speaks of: 0.45 m to a wheel's middle, and the wheel; assumed for Yutu-2."""
+"""Half the width of ground that a drive of Yutu-2 speaks of: 0.45 m to a wheel's middle, and the wheel's 0.15 m. With
+another rover `update` takes that of its wheels. [m]"""
 NEIGHBOURS = 4
 """Zones that a node looks at, the nearest ones; assumed."""
 MARGIN_M, NODES_ABOUT = 3.0, 120

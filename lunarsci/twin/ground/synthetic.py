@@ -18,13 +18,13 @@ from lunarsci.twin.ground.terrain import Terrain, build_terrain
 SCALE_M = 0.2
 """Decay length of the covered area with diameter: assumed. [m]"""
 CLEAR_M = 1.5
-"""About the start of a drive, without rocks; assumed. [m]"""
+"""About the start of a drive, without rocks, as this ground is made. [m]"""
 SMALLEST_M, LARGEST_M = 0.1, 2.0
-"""Diameters that are laid: assumed; smaller ones are roughness. [m]"""
+"""Diameters that are laid, as this ground is made: smaller ones are roughness. [m]"""
 HEIGHT_TO_DIAMETER = 0.5
 """A rock is half an ellipsoid of this height to diameter: assumed."""
 LARGEST_SHARE = 0.1
-"""Of the ground that rocks may cover; assumed, some fifty times that of the site."""
+"""Of the ground that rocks may cover, some fifty times that of the site, as this ground is made."""
 ROUGHNESSES_M = "[0, 0.05]"
 STAND_IN = "synthetic stand-in for the Longji site"
 """Name of the terrain that is driven where none is named."""
@@ -162,7 +162,7 @@ def synthetic_longji(
 
 MOST_NODES = 4_000_000
 SMALLEST_CRATER_M = 1.0
-"""Diameter of the smallest craters that are laid; assumed, smaller ones are roughness."""
+"""Diameter of the smallest craters that are laid, as this ground is made: smaller ones are roughness. [m]"""
 
 
 def synthetic_terrain(

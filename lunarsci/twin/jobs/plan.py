@@ -45,7 +45,7 @@ from lunarsci.twin.mission.mission import (
 )
 from lunarsci.twin.plans.path import poses_along
 from lunarsci.twin.plans.plan import Leg, Plan, plan_text, read_plan
-from lunarsci.twin.plans.risk import AcceptedRisk, Chance
+from lunarsci.twin.plans.risk import USUAL, AcceptedRisk, Chance
 from lunarsci.twin.routes.candidates import candidate_plans
 from lunarsci.twin.routes.long_way import way_to
 from lunarsci.twin.routes.planner import PlannedPath
@@ -55,8 +55,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-ACCEPTED = AcceptedRisk(0.05)
-"""Chance that a mission is not kept that is accepted where none is given; assumed."""
 WIDER = 2.0
 """Circles to keep out of grow by so many standard errors of a localised position; assumed."""
 LOOKED_AT_M = 0.5
@@ -257,7 +255,7 @@ def planned_mission(terrain: str | None, asked: PlanRequest, progress: Progress 
         power=planned_power(asked),
         progress=progress,
     )
-    risk = ACCEPTED if asked.risk is None else AcceptedRisk(asked.risk)
+    risk = USUAL if asked.risk is None else AcceptedRisk(asked.risk)
     return PlannedMission(
         site=site, surface=surface, soils=soils, driven=driven, risk=risk, file=(source.name, source.sha256)
     )

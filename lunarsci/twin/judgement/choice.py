@@ -313,7 +313,8 @@ def _unfinished(prediction: Prediction) -> tuple[tuple[int, float], Weakest]:
 Preference: TypeAlias = Literal["energy", "length", "time", "risk"]
 
 ROUNDS = (0.25, 0.5, 1.0)
-"""Shares of the soils after which hopeless candidates stop; a quarter of 64 is a group of the simulation. Assumed."""
+"""Shares of the soils after which hopeless candidates stop: as soils double, half of the candidates go on (successive
+halving: Jamieson & Talwalkar 2016, Proc. Mach. Learn. Res. 51, 240)."""
 LEAST_LEFT = 8
 """So many candidates are driven on all soils, where there are so many."""
 ALIKE = 0.01

@@ -26,7 +26,7 @@ from lunarsci.twin.judgement.keeping import (
 from lunarsci.twin.judgement.quantities import Encounter, clearance, encounters, least_of_95, most_of_95
 from lunarsci.twin.lanes import HOLE, LEFT, OUTCOMES
 from lunarsci.twin.plans.plan import Limit, Plan, check_limits
-from lunarsci.twin.plans.risk import AcceptedRisk, Chance
+from lunarsci.twin.plans.risk import USUAL, AcceptedRisk, Chance
 from lunarsci.twin.simulation.contact import DEEPEST, SHALLOWEST, VALID_SLIP
 from lunarsci.twin.simulation.ensemble import MOST_BEYOND, STATE_COLUMNS, Prediction
 
@@ -109,8 +109,6 @@ def percent(share: float) -> str:
 
 MOST_DRAWS = 0.75
 """Of the draws of unseen ground that must fail for a no-go: a quarter of such plans would have kept. Assumed."""
-MOST = 0.95
-"""Of the drives that keep each limit, where no other risk is accepted; assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,7 +251,7 @@ def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
     limits = limits_judged(prediction) if finished.any() else ()
     risk = prediction.plan.accepted_risk
     risk = None if risk is None or prediction.members < risk.least_drives else risk
-    share = MOST if risk is None else risk.keeping
+    share = (risk or USUAL).keeping
     judged = tuple(j for limit in limits if (j := _judge_limit(prediction, limit, share)) is not None)
     outcomes = {
         OUTCOMES[int(k)]: int(n) for k, n in zip(*np.unique(prediction.outcome, return_counts=True), strict=True)

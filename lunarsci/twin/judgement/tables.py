@@ -18,6 +18,7 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray, at_times
 from lunarsci.regolith.states import FROM_MOTION
 from lunarsci.twin.judgement.quantities import along
+from lunarsci.twin.simulation.dynamics import MOST_LOAD
 from lunarsci.twin.simulation.ensemble import OFFSET_COLUMNS, PATH_COLUMNS, STATE_COLUMNS, Prediction
 from lunarsci.twin.simulation.prescribed_motion import FORCES, LoadEnsemble, PoseStates, PrescribedLoads
 
@@ -270,10 +271,6 @@ def _spread(values: FloatArray) -> Spread:
     return Spread(float(values.mean()), float(values.min()), float(p05), float(p50), float(p95), float(values.max()))
 
 
-MOST_IN_WEIGHTS = 2.0
-"""Times the rover's weight that one wheel carries at most unless it falls or hits something; assumed."""
-
-
 @dataclass(frozen=True, slots=True)
 class LoadCheck:
     """Wheel loads over every member, sample and wheel that was driven.
@@ -300,7 +297,7 @@ def check_loads(prediction: Prediction) -> LoadCheck:
     loads = prediction.states[..., STATE_COLUMNS.index("normal_force_n")]
     driven = np.broadcast_to(prediction.reached[..., None], loads.shape)
     weight = prediction.rover.mass_kg * prediction.rover.gravity_m_s2
-    hanging, over = driven & (loads <= 0.0), driven & (loads > MOST_IN_WEIGHTS * weight)
+    hanging, over = driven & (loads <= 0.0), driven & (loads > MOST_LOAD * weight)
     count = max(int(driven.sum()), 1)
     return LoadCheck(
         weight_n=float(weight),

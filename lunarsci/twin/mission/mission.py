@@ -21,8 +21,6 @@ from lunarsci.twin.plans.plan import Fixes, Leg, Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import PowerState, Prediction
 
-LEGS_M = "[0.5, 25]"
-"""Between two localisations of a rover; assumed: longer legs are not planned on what cameras show."""
 MOST_TARGETS = 100
 
 
@@ -82,7 +80,7 @@ class Mission:
     start, targets : where it begins, and where it leads.
     keep_outs : circles that no part of the rover may enter.
     fixes : standard errors of the localisation at the end of each leg; the ground is taken as looked at anew.
-    leg_m : longest leg, 0.5 to 25. [m]
+    leg_m : longest leg, above 0. [m]
     localisation_s : standstill at the end of each leg, >= 0: pictures, their way home, and the next plan. [s]
     time_budget_s : of all legs, halts, waits and stays, > 0; infinite where there is none. [s]
     windows : each leg with its localisation lies within one of these; none for always, else one after the other.
@@ -112,7 +110,7 @@ class Mission:
             raise ParameterError(
                 "[fixes] halt_s has no use in a mission; its standstill at a leg's end is localisation_s"
             )
-        ranges = {LEGS_M: "leg_m", NOT_NEGATIVE: "localisation_s", "(0, inf]": "time_budget_s", POSITIVE: "speed_m_s"}
+        ranges = {POSITIVE: "leg_m speed_m_s", NOT_NEGATIVE: "localisation_s", "(0, inf]": "time_budget_s"}
         check_ranges(self, ranges)
         for one, after in pairwise(self.windows):
             if after.begin_s < one.end_s:

@@ -30,7 +30,7 @@ POSE_COLUMNS = ("time_s", "x_m", "y_m", "yaw_deg")
 GAP = 5.0
 """Times the median step between poses from which on a step is a gap; assumed."""
 CLOCK_S = 1.0
-"""How far the clocks of motion and plan may differ unsaid; assumed. [s]"""
+"""How far the clocks of motion, positions and plan may differ unsaid; assumed. [s]"""
 STANDSTILL = 0.5
 """Share of the usual speed of the commanded rims below which it is a halt; assumed."""
 SIGMAS = ("x_m_sigma", "y_m_sigma", "yaw_deg_sigma")

@@ -88,3 +88,7 @@ class AcceptedRisk:
     def accepts(self, chance: Chance) -> bool:
         """Whether drives that fail with such a chance are safe enough."""
         return chance.risk <= self.share
+
+
+USUAL = AcceptedRisk(0.05)
+"""Where none is given: of a mission as a whole, and of each limit of a drive; assumed."""

@@ -237,7 +237,7 @@ ARC_M = 0.1
 BEST, NEARLY = 5, 8
 """How many courses of each number of arcs are refined, and how many that do not keep the clearance if none does."""
 SHORTEST_M, FINEST_M, COARSEST_M = 0.1, 0.1, 0.4
-"""Shortest arc of a course, and steps along it that are looked at; assumed, about a footprint's error."""
+"""Shortest arc of a course, and steps along it that are looked at: about a footprint's error."""
 SAME_PER_M = 1e-5
 """Arcs whose curvatures differ by less are one."""
 PENALTY = 1e3

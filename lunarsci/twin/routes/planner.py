@@ -35,10 +35,8 @@ if TYPE_CHECKING:
 
 Progress = Callable[[int, int], None]
 
-NEAR_M = 1.0
-"""From a footprint farther than this an obstacle is not taken for what is in the way; assumed. [m]"""
 ARRIVAL_M = 0.01
-"""A path ends at least this near to its target; assumed. [m]"""
+"""A path ends at least this near to its target, as the search reckons it. [m]"""
 MARGIN_SHARE, MARGIN_M, FAR_MARGIN_M = 0.5, 3.0, 50.0
 """The search looks this share of the distance, and so far, beyond start and target; farther on long ways; assumed."""
 PLACES_M = 0.02
@@ -192,10 +190,8 @@ class RouteSearch:
         text = f"no path within the limits was found; the nearest place reached is x {end[0]:.2f} m, y {end[1]:.2f} m"
         text += f", {left:.2f} m from the target"
         clear, point = self.clear_m(end[None])
-        if NEAR_M < clear < math.inf:
-            text += f", with no obstacle within {NEAR_M:g} m of it: its arcs may be too wide for this target"
-        elif len(self.ground.border):
-            text += f", next to where {self.obstacle(point)}"
+        if math.isfinite(clear) and len(self.ground.border):
+            text += f", {max(clear, 0.0):.2g} m from where {self.obstacle(point)}"
         return f"{text}; try a smaller hazard distance, tighter turns, a nearer target first, or other limits"
 
     def _obstacle_places(self) -> tuple[FloatArray, FloatArray]:

@@ -23,7 +23,8 @@ from lunarsci.twin.simulation.members import MOST_STEPS, DriveSetup, Grounds, dr
 PATH_COLUMNS = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg")
 OFFSET_COLUMNS = ("offset_x_m", "offset_y_m")
 MOST_BEYOND = 0.05
-"""Share of wheel states beyond the wheel model from which on what rests on them is in doubt; assumed."""
+"""Share of the values of a drive that may be beyond the wheel model, after the end of the plan, or outliers; what rests
+on more of them is in doubt. Assumed, one for all."""
 STATE_COLUMNS = (
     "x_m",
     "y_m",

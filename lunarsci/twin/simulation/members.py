@@ -190,7 +190,7 @@ def drive(
 MOST_STEPS = 1e7
 """Minutes of computing for a single member."""
 SLOW = 0.4
-"""Share of the full speed below which a step counts as one of a start or a stop; assumed."""
+"""Share of the full speed below which a step is one of a start or a stop, and made in `SLOW_PARTS`."""
 OUTLINE = 2000
 """Places along a plan about which ruts are kept."""
 STRAY_M = 1.5

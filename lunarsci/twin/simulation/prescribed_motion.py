@@ -24,8 +24,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from scipy.special import chdtri
 
-from lunarsci.arrays import BoolArray, FloatArray, IntArray, at_times
+from lunarsci.arrays import SIGNIFICANCE, BoolArray, FloatArray, IntArray, at_times
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import ParameterError
 from lunarsci.io.inputs import InputFile
@@ -304,8 +305,6 @@ BALANCE_ERROR = 0.005
 LEAST_CARRIED = 0.5
 """Share of the soils that have to carry the rover at a pose for its forces to be told; assumed."""
 TOTALS = ("ahead", "left", "moment")
-SURPRISING = 4.0
-"""Reduced chi-square of the residual wrench beyond which no drawn soil explains the motion; assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -368,7 +367,7 @@ class LoadEnsemble:
     def doubt_of_soils(self) -> str:
         """Why the drawn soils are not those of the motion; empty where they may be. Needs poses with forces."""
         surprise = float(np.median(self.surprise[self.with_forces]))
-        if surprise <= SURPRISING:
+        if surprise <= chdtri(len(TOTALS), SIGNIFICANCE) / len(TOTALS):
             return ""
         return (
             f"what the wheels do not supply is beyond the drawn soils (reduced chi-square {surprise:.1f}): the soil, "
@@ -534,10 +533,10 @@ def _parts(forces: list[FloatArray], noise: FloatArray, fitted: float = 1.0) -> 
 
 SOIL_STILL, FORCES_STILL = 0.1, 0.01
 """Largest move of the soil's mean, in what remains of its standard deviations, and of pulls and lateral forces as a
-share of themselves, in a round that has converged; assumed."""
+share of themselves, in a round that has converged."""
 OPPOSITE, NOT_SMALLER = -0.5, 0.8
 """Cosine between two moves of the soil below which the second goes back, and the share of the first that it has at
-least where the rounds do not calm down; assumed."""
+least where the rounds do not calm down: after such moves more rounds end no nearer."""
 MOST_ROUNDS, WORST_REDUCED = 50, 1.5
 """Rounds, and reduced chi-square of the states beyond which no soil explains them; assumed."""
 ALIKE = math.sqrt(2.0 * math.pi)
