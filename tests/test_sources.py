@@ -45,7 +45,7 @@ SETTINGS = {
         "twin/comparison/verdict.py: ALARM_OF_CHANGE",
         "twin/ground/soil_map.py: REACH_M",
         "twin/ground/synthetic.py: CLEAR_M", "twin/ground/synthetic.py: SMALLEST_M, LARGEST_M",
-        "twin/ground/synthetic.py: LARGEST_SHARE", "twin/ground/synthetic.py: SMALLEST_CRATER_M",
+        "twin/ground/synthetic.py: LARGEST_SHARE",
         "twin/simulation/contact.py: BEHIND", "twin/plans/path.py: RAMP_COUNTS_S", "twin/plans/path.py: RAMP_S",
         "twin/telemetry/states.py: HELD", "twin/telemetry/states.py: HARDLY", "twin/telemetry/reading.py: SURE",
         "twin/telemetry/checks.py: STOP_COSTS_S", "twin/telemetry/readings.py: ANY",
@@ -64,7 +64,7 @@ SETTINGS = {
         "spectra/chemistry/bands.py: X_NM, Y_NM", "spectra/mgm/fit_file.py: PLOT_AXIS",
         "spectra/vnis/calibration.py: _SHADOW, _INVALID",
         "twin/ground/soil_map.py: MARGIN_M, NODES_ABOUT",
-        "twin/routes/planner.py: EVERY_M, SHOWN_M", "twin/telemetry/simulated.py: DENSE_M",
+        "twin/routes/planner.py: LINE_STEP_M, SHOWN_MARGIN_M", "twin/telemetry/simulated.py: DENSE_M",
         "twin/comparison/scores.py: REGIONS", "twin/comparison/scores.py: NOMINAL",
         "twin/plans/risk.py: CONFIDENCE", "twin/drives/layouts.py: MARGIN_M, MARGIN_SHARE, NODES"),
     "how long machines are waited for, and how much memory is taken": (
@@ -107,7 +107,7 @@ SETTINGS = {
         "twin/ground/height_errors.py: RATIO, MOST_GRAINS", "twin/jobs/chosen_drive.py: CHECKED_EVERY_M",
         "twin/jobs/plan.py: LOOKED_AT_M", "twin/judgement/endpoint.py: SHORTEST_STEP_S",
         "twin/judgement/energy.py: FINEST_S", "twin/plans/path.py: CREEP_M_S", "twin/plans/path.py: TURN_DEG",
-        "twin/routes/arc_search.py: PENALTY", "twin/routes/planner.py: PLACES_M",
+        "twin/routes/arc_search.py: PENALTY", "twin/routes/planner.py: PATH_STEP_M",
         "twin/simulation/contact.py: CAUGHT", "twin/simulation/settle.py: CALM",
         "twin/simulation/settle.py: LONGEST_MOVE", "twin/telemetry/nodes.py: NODE_M"),
 }  # fmt: skip

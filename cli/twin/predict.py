@@ -35,6 +35,23 @@ EXAMPLES = (
     "lunarsci twin predict plan.toml --soil lunar-typical",
     "lunarsci twin predict plan.toml --sweep friction_angle_deg=30:50:3 \\\n  -o predicted",
 )
+NEXT = (
+    "what may help: what a drive teaches of the soil (`twin update`, with the track's depth), halts to be localised "
+    "(--fixes), or another way (`twin plan --risk`)"
+)
+HEADERS = (
+    "quantity (worst of each drive)",
+    "p50",
+    "{share} of drives",
+    "worst",
+    "limit",
+    "margin",
+    "unit",
+    "verdict",
+    "limit from",
+)
+QUANTITIES = {"sinkage_m": ("sinkage", "mm", 1e3)}
+"""Names, units and factors of quantities that tables show otherwise than files: sinkage in mm throughout."""
 
 
 def add_to(app: typer.Typer) -> None:
@@ -98,27 +115,6 @@ def _check_film(output: Output, animate: Path) -> None:
 def _film(predicted: PredictedDrives, target: Path, quiet: bool) -> bytes:
     with progress("filming", quiet=quiet) as update:
         return predicted.film(target, update)
-
-
-NEXT = (
-    "what may help: what a drive teaches of the soil (`twin update`, with the track's depth), halts to be localised "
-    "(--fixes), or another way (`twin plan --risk`)"
-)
-HEADERS = (
-    "quantity (worst of each drive)",
-    "p50",
-    "{share} of drives",
-    "worst",
-    "limit",
-    "margin",
-    "unit",
-    "verdict",
-    "limit from",
-)
-
-
-QUANTITIES = {"sinkage_m": ("sinkage", "mm", 1e3)}
-"""Names, units and factors of quantities that tables show otherwise than files: sinkage in mm throughout."""
 
 
 def _verdict_tables(predicted: PredictedDrives) -> list[TextTable]:

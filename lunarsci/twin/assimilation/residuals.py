@@ -34,6 +34,37 @@ if TYPE_CHECKING:
 
 OBSERVED = COLUMNS
 """Columns of the measured values: sinkage, slip ratio, side slip, normal force, drawbar pull, lateral force."""
+MODEL_SHARES = {
+    "sinkage_m": 0.06,
+    "slip_ratio": 0.25,
+    "side_slip_deg": 0.20,
+    "drawbar_pull_n": 0.015,
+    "lateral_force_n": 0.06,
+}
+"""Error that all wheels share, of each quantity, as a share of its size: what the closed form differs by from the full
+stress integrals on the same soil, measured once, over nine hidden soils, with the truth of
+`tests/benchmarks/other_physics.py`. Loads follow from the suspension's levers and are not concerned."""
+SHARED = 0.5**0.5
+"""Of an error's share for the part that is constant, and for the one that goes with the quantity; assumed."""
+MODEL_ERRORS = {
+    "sinkage_m": 5e-5,
+    "slip_ratio": 0.002,
+    "side_slip_deg": 0.1,
+    "normal_force_n": 0.2,
+    "drawbar_pull_n": 0.1,
+    "lateral_force_n": 0.1,
+}
+"""Assumed, beside the measured errors: what the twin may be off by where a measured error is next to nothing.
+Side slip in bends is off by 0.04 deg at a time step of 0.1 s."""
+FIX_ERROR_M = 0.0015
+"""Measured: what the time step of 0.1 s puts the end of the embedded plan off by, and more than the interpolation
+between samples does; over obstacles it is more. [m]"""
+STEP_S, SAMPLE_M = 0.1, 0.1
+"""Of the simulated drives: on the embedded plan ends are off by 0.8 mm, states are interpolated in time."""
+POSITION = "position"
+HUBER = 4.0
+"""Standard deviations beyond which a value counts by size, not square, and as an outlier, and a soil as none of the
+first laws: 1 in 16 000 by chance; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -204,22 +235,6 @@ def states_at(record: DriveRecord, times_s: FloatArray, states: FloatArray, whee
     return np.asarray((1.0 - share[:, None]) * before + share[:, None] * after)
 
 
-MODEL_SHARES = {
-    "sinkage_m": 0.06,
-    "slip_ratio": 0.25,
-    "side_slip_deg": 0.20,
-    "drawbar_pull_n": 0.015,
-    "lateral_force_n": 0.06,
-}
-"""Error that all wheels share, of each quantity, as a share of its size: what the closed form differs by from the full
-stress integrals on the same soil, measured once, over nine hidden soils, with the truth of
-`tests/benchmarks/other_physics.py`. Loads follow from the suspension's levers and are not concerned."""
-
-
-SHARED = 0.5**0.5
-"""Of an error's share for the part that is constant, and for the one that goes with the quantity; assumed."""
-
-
 @dataclass(frozen=True, slots=True)
 class DriveBias:
     """Standard deviations of errors that stay the same throughout a drive.
@@ -319,27 +334,6 @@ class MarginalisedBias:
         """The residuals that `applied` gave these of. (..., r)"""
         share = np.sqrt(1.0 + self.sizes**2) - 1.0
         return np.asarray(rows + ((rows @ self.vectors) * share) @ self.vectors.T)
-
-
-MODEL_ERRORS = {
-    "sinkage_m": 5e-5,
-    "slip_ratio": 0.002,
-    "side_slip_deg": 0.1,
-    "normal_force_n": 0.2,
-    "drawbar_pull_n": 0.1,
-    "lateral_force_n": 0.1,
-}
-"""Assumed, beside the measured errors: what the twin may be off by where a measured error is next to nothing.
-Side slip in bends is off by 0.04 deg at a time step of 0.1 s."""
-FIX_ERROR_M = 0.0015
-"""Measured: what the time step of 0.1 s puts the end of the embedded plan off by, and more than the interpolation
-between samples does; over obstacles it is more. [m]"""
-STEP_S, SAMPLE_M = 0.1, 0.1
-"""Of the simulated drives: on the embedded plan ends are off by 0.8 mm, states are interpolated in time."""
-POSITION = "position"
-HUBER = 4.0
-"""Standard deviations beyond which a value counts by size, not square, and as an outlier, and a soil as none of the
-first laws: 1 in 16 000 by chance; assumed."""
 
 
 def robust_cost(white: FloatArray) -> FloatArray:

@@ -39,6 +39,34 @@ from lunarsci.twin.simulation.ensemble import LONGEST_SAMPLE_M, LONGEST_STEP_S, 
 BIN_M, MOST_BINS = 2.0 * SAMPLE_M, 200
 """Length of way over which residuals are averaged: two samples of a drive, between which states are interpolated;
 longer where the drive has more pieces, whose covariance takes their number squared."""
+FEWEST_BINS = 4
+"""On either side of a change; assumed."""
+SIMULATIONS = 999
+MODEL_M = 3.0
+"""Way over which errors of the twin itself are alike, such as an arc's; assumed. [m]"""
+MOST_CORRELATED = 0.95
+"""Correlation of neighbouring bins that is reckoned with at most: what is left of a mean must not vanish; assumed."""
+MARGIN = 1.0
+"""Standard errors by which noise counts as more correlated than it was found: the p-value is that of an unkind case
+within the uncertainty, as in Berger & Boos (1994), J. Am. Stat. Assoc. 89, 1012."""
+NUDGE = 0.1
+"""Widths of the first laws by which soils are moved to either side for derivatives."""
+WITHIN_95 = 7.35
+"""Fall of the statistic from its top within which the place lies, at 95 %: Hansen (2000), Econometrica 68, 575,
+10.1111/1468-0262.00124."""
+FALSE_ALARMS = SIGNIFICANCE
+"""Wanted share of drives over one soil in which a change is found; 0.05 at most where the twin is off by its errors."""
+MODEL_SHARE = 2.0
+"""Of `MODEL_ERRORS`, which are those of single values, by which the twin may be off over metres of way; assumed, and
+enough for what is left of the time step's errors."""
+FINER = 0.25
+"""Of the time step."""
+MOST_SEGMENTS = 16
+FEWEST_VALUES = 2 * len(PARAMETERS)
+"""Of a stretch whose soil is learned, and whose median slip is judged: as many are left to judge it by as it takes.
+With fewer it stays as believed."""
+NAMED = 1.0
+"""Steps of a measured quantity that are named, in its errors; assumed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,18 +202,6 @@ def binned(places: FloatArray, values: FloatArray, slopes: FloatArray, model: Fl
     return TrackBins(middle[full], tuple(OBSERVED[k] for k in columns), mean, weight[full], slope, model[columns])
 
 
-FEWEST_BINS = 4
-"""On either side of a change; assumed."""
-SIMULATIONS = 999
-MODEL_M = 3.0
-"""Way over which errors of the twin itself are alike, such as an arc's; assumed. [m]"""
-MOST_CORRELATED = 0.95
-"""Correlation of neighbouring bins that is reckoned with at most: what is left of a mean must not vanish; assumed."""
-MARGIN = 1.0
-"""Standard errors by which noise counts as more correlated than it was found: the p-value is that of an unkind case
-within the uncertainty, as in Berger & Boos (1994), J. Am. Stat. Assoc. 89, 1012."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class ChangePoint:
     """The most likely change: where, p-value, places tried and how much more two soils explain there. (k,), (k,)"""
@@ -291,26 +307,6 @@ def _noise(bins: TrackBins, rest: FloatArray, fitted: float) -> tuple[FloatArray
     lag = lag + MARGIN * np.sqrt((1.0 - np.minimum(lag**2, 1.0)) / size)
     sigma = np.sqrt(square / max(size - fitted, 0.25 * size))
     return np.maximum(sigma, 1.0), np.clip(lag, 0.0, MOST_CORRELATED)
-
-
-NUDGE = 0.1
-"""Widths of the first laws by which soils are moved to either side for derivatives."""
-WITHIN_95 = 7.35
-"""Fall of the statistic from its top within which the place lies, at 95 %: Hansen (2000), Econometrica 68, 575,
-10.1111/1468-0262.00124."""
-FALSE_ALARMS = SIGNIFICANCE
-"""Wanted share of drives over one soil in which a change is found; 0.05 at most where the twin is off by its errors."""
-MODEL_SHARE = 2.0
-"""Of `MODEL_ERRORS`, which are those of single values, by which the twin may be off over metres of way; assumed, and
-enough for what is left of the time step's errors."""
-FINER = 0.25
-"""Of the time step."""
-MOST_SEGMENTS = 16
-FEWEST_VALUES = 2 * len(PARAMETERS)
-"""Of a stretch whose soil is learned, and whose median slip is judged: as many are left to judge it by as it takes.
-With fewer it stays as believed."""
-NAMED = 1.0
-"""Steps of a measured quantity that are named, in its errors; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

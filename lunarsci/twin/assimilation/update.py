@@ -88,6 +88,10 @@ went. So it is of 1 of 70 right beliefs and of 10 of 38 of other physics, rovers
 measured by `tests/benchmarks/leaning.py` (docs/validation/drive.md). [-]"""
 STILL = 1.1
 """Factor of the errors in a round that has converged."""
+LEAST_LEAN, LEAN_ERRORS, LEAN_SOILS = 0.02, 2.0, 64
+"""Slip that a belief may lean by: so much, or so many standard errors where that is more; and soils that tell the
+spread. Of 70 right beliefs the farthest lean by 0.017 and by 1.7 errors, measured by `tests/benchmarks/leaning.py`
+(docs/validation/drive.md). [-]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -394,12 +398,6 @@ def _unexplained(drive: DriveResiduals, expected: FloatArray, best: Prediction) 
 
 def _rms(values: FloatArray) -> float:
     return float(np.sqrt((values**2).mean()))
-
-
-LEAST_LEAN, LEAN_ERRORS, LEAN_SOILS = 0.02, 2.0, 64
-"""Slip that a belief may lean by: so much, or so many standard errors where that is more; and soils that tell the
-spread. Of 70 right beliefs the farthest lean by 0.017 and by 1.7 errors, measured by `tests/benchmarks/leaning.py`
-(docs/validation/drive.md). [-]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

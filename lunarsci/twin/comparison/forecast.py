@@ -38,6 +38,9 @@ FILE = "prediction.json"
 TABLES = ("states.csv", "paths.csv")
 """Of the folder, with the states and paths of every drive."""
 AGAIN = "predict the drive again with `lunarsci twin predict -o`"
+_ALIKE = ("plan", "time_s", "distance_m", "planned", "states", "halted", "recorded", "outcome", "discrepancy")
+NEAR = 0.5
+"""Of a quantity's mean size, that its mean counts by at least: a mean force near 0 says nothing of shares; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -111,9 +114,6 @@ def forecast_of(
         paths=paths,
         **{name: getattr(prediction, name) for name in _ALIKE},
     )
-
-
-_ALIKE = ("plan", "time_s", "distance_m", "planned", "states", "halted", "recorded", "outcome", "discrepancy")
 
 
 def forecast_document(forecast: Forecast, tables: Mapping[str, Callable[[], bytes]]) -> dict[str, Any]:
@@ -316,10 +316,6 @@ def match_observations(
         fix_distance_m=np.interp(record.fix_time_s, forecast.time_s, forecast.distance_m),
         planned=places[-1],
     )
-
-
-NEAR = 0.5
-"""Of a quantity's mean size, that its mean counts by at least: a mean force near 0 says nothing of shares; assumed."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,6 +27,20 @@ from lunarsci.twin.plans.plan import Plan
 COLORS = "cividis_r"
 LEAST_SHOWN, MOST_SHOWN = 0.005, 1.0
 """Ends of the colour scale of risks, which is logarithmic. [-]"""
+MEASURES = (
+    ("kept_share", 100.0, "drives that\nkeep limits [%]"),
+    ("slip_ratio", 1.0, "slip s, worst [-]"),
+    ("sinkage_m", 1e3, "sinkage z,\nworst [mm]"),
+    ("energy_p50_j", 1.0, "work at the\nwheels [J]"),
+    ("pull_per_weight_at_20", 1.0, "pull per weight\nat 20 % slip [-]"),
+)
+"""Keys of a design's row, factor, and label."""
+MOST_NAMED = 8
+"""Designs of the front whose values are written beside their dots."""
+WAITED, LOCALISED, STAYED = "#d9d9d9", "#9fb4c0", GOLD
+MARGIN_M = 2.0
+MOST_ARRIVALS = 24
+"""Names of arrivals that fit side by side; one that is too near to the one before is left out."""
 
 
 def candidate_map(surface: Traversability, choice: DriveChoice) -> Figure:
@@ -183,18 +197,6 @@ def _bars(axes: Axes, group: list[DriveCandidate], name: str, color: str, marker
     axes.errorbar(x, risk, spread, fmt=marker, color=color, markersize=4, elinewidth=0.7, capsize=1.5, label=label)
 
 
-MEASURES = (
-    ("kept_share", 100.0, "drives that\nkeep limits [%]"),
-    ("slip_ratio", 1.0, "slip s, worst [-]"),
-    ("sinkage_m", 1e3, "sinkage z,\nworst [mm]"),
-    ("energy_p50_j", 1.0, "work at the\nwheels [J]"),
-    ("pull_per_weight_at_20", 1.0, "pull per weight\nat 20 % slip [-]"),
-)
-"""Keys of a design's row, factor, and label."""
-MOST_NAMED = 8
-"""Designs of the front whose values are written beside their dots."""
-
-
 def design_front_page(designs: Sequence[Design], front: Sequence[int], *, synthetic: bool = False) -> Figure:
     """Share of drives that break a limit against the energy of the others, and the designs that none beats in both."""
     figure = page(5.0, 6.0)
@@ -270,12 +272,6 @@ def _draw_curve(axes: Axes, values: Any, measured: Any) -> None:
     for place in np.unique(values[~finished]):
         axes.axvline(place, color=LIMIT, linewidth=0.8, linestyle=":", alpha=0.6)
     axes.grid()
-
-
-WAITED, LOCALISED, STAYED = "#d9d9d9", "#9fb4c0", GOLD
-MARGIN_M = 2.0
-MOST_ARRIVALS = 24
-"""Names of arrivals that fit side by side; one that is too near to the one before is left out."""
 
 
 def mission_map(surface: Traversability, driven: DrivenMission) -> Figure:

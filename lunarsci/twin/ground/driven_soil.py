@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Origin = Literal["option", "default", "terrain", "belief", "priors", "samples", "map"]
+PRIORS = "priors"
+"""Name of what is believed of the soil before any drive."""
+DEFAULT_SOIL = "longji"
+"""Where none is given; it also lies under a belief, where it is nowhere used: this replaces every parameter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,12 +134,6 @@ def _rows(count: int, members: int | None, seed: int) -> IntArray:
     if members > count:
         raise DataError(f"{count} soils for {members} members; give at most {count}")
     return np.sort(np.random.default_rng(seed).choice(count, members, replace=False))
-
-
-PRIORS = "priors"
-"""Name of what is believed of the soil before any drive."""
-DEFAULT_SOIL = "longji"
-"""Where none is given; it also lies under a belief, where it is nowhere used: this replaces every parameter."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -51,6 +51,9 @@ SLOPE_SD = 1.0
 walls."""
 HEIGHT_UNITS = {"km": 1e3, "cm": 1e-2, "mm": 1e-3}
 """In metres, by definition; feet and decimetres make slopes that the Moon has, too."""
+MAPS = ("slope_deg", "roughness_m", "step_m")
+MOST_NODES = 2_000_000
+"""A patch that would have more gets wider nodes, each with the worst of what lies in its cell."""
 
 
 def relief_of_kind(slope_deg: float, hurst: float) -> Relief:
@@ -214,9 +217,6 @@ def _finer(terrain: Terrain, rows: slice, columns: slice, factor: int) -> Terrai
     )
 
 
-MAPS = ("slope_deg", "roughness_m", "step_m")
-MOST_NODES = 2_000_000
-"""A patch that would have more gets wider nodes, each with the worst of what lies in its cell."""
 Values = npt.NDArray[np.floating]
 
 

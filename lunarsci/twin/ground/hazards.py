@@ -29,6 +29,25 @@ from lunarsci.twin.rover import Rover
 
 OVERHANG = 1.05
 """The discs that cover the rectangle are at most so many half widths in radius: nearer 1 there are more of them."""
+ROUND = 0.6
+"""Share of the circle about a polygon that it must fill to be taken for that circle; assumed."""
+FINEST = 64
+"""Squares along the longer side of a polygon, at most, that circles stand for."""
+STRAY_M = 3.0
+"""Drives are not looked for farther from their plans, beside half a rover, than this; assumed. [m]"""
+FARTHEST_M = 1.1e7
+"""Once round the Moon, of 1737.4 km radius (Archinal et al. 2018, 10.1007/s10569-017-9805-5). [m]"""
+FORBIDDEN = "forbidden"
+SAME_CLASS = 1e-6
+# Where a rover file has no [limits]: assumed, cautious for a rocker-bogie.
+FALLBACK_STEP_IN_RADII = 1.0
+FALLBACK_TURN_IN_TRACKS = 1.5
+FALLBACK_DISTANCE_IN_TRACKS = 0.2
+TILE = 512
+WIDEST_STEP = 2.0
+"""A square this many times as wide as a wheel is high no longer shows what the wheel climbs; assumed."""
+COST_CAP = 100.0
+"""Of a node that is no obstacle; assumed, so that no ground counts as much as an obstacle."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,16 +145,6 @@ def nearest_node(
         if distance[point] < best[0]:
             best = (float(distance[point]), point, number)
     return best
-
-
-ROUND = 0.6
-"""Share of the circle about a polygon that it must fill to be taken for that circle; assumed."""
-FINEST = 64
-"""Squares along the longer side of a polygon, at most, that circles stand for."""
-STRAY_M = 3.0
-"""Drives are not looked for farther from their plans, beside half a rover, than this; assumed. [m]"""
-FARTHEST_M = 1.1e7
-"""Once round the Moon, of 1737.4 km radius (Archinal et al. 2018, 10.1007/s10569-017-9805-5). [m]"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,10 +270,6 @@ def near_way(zones: Zones, places_m: FloatArray) -> Zones:
     )
 
 
-FORBIDDEN = "forbidden"
-SAME_CLASS = 1e-6
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CostLayer:
     """How much a metre of some ground costs, in metres of other ground with the same slopes.
@@ -364,12 +369,6 @@ def shadow_layer(lit: BoolArray, cost: float) -> CostLayer:
     return CostLayer(name="shadow", factor=np.where(lit, 1.0, cost).astype(np.float32))
 
 
-# Where a rover file has no [limits]: assumed, cautious for a rocker-bogie.
-FALLBACK_STEP_IN_RADII = 1.0
-FALLBACK_TURN_IN_TRACKS = 1.5
-FALLBACK_DISTANCE_IN_TRACKS = 0.2
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mobility:
     """Limits of the ground and of the path of a rover.
@@ -430,11 +429,6 @@ def read_mobility(description: RoverDescription, rover: Rover) -> Mobility:
 
 
 FloatMap = npt.NDArray[np.float32]
-TILE = 512
-WIDEST_STEP = 2.0
-"""A square this many times as wide as a wheel is high no longer shows what the wheel climbs; assumed."""
-COST_CAP = 100.0
-"""Of a node that is no obstacle; assumed, so that no ground counts as much as an obstacle."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -45,6 +45,9 @@ NEAREST_M = 1e-9
 NODES_AT_ONCE = 16_384
 HISTORY_SHARE = 0.05
 """Share of a zone in a blend from which on its drives are named in the history of it; assumed."""
+SCHEMA = "lunarsci/soil-map/1"
+PAIRED_AT_ONCE = 256
+"""Draws of a population that are paired with others at a time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -282,9 +285,6 @@ def _zone_record(zone: Zone) -> dict[str, Any]:
     }
 
 
-SCHEMA = "lunarsci/soil-map/1"
-
-
 def soil_map_bytes(soil_map: SoilMap) -> bytes:
     """As `read_soil_map` reads it; places to a millimetre."""
     document = {
@@ -329,10 +329,6 @@ def _soil_map(document: Any) -> SoilMap:
 def _zone(entry: Mapping[str, Any]) -> Zone:
     places = [np.array(entry[key], dtype=np.float64) for key in ("x_m", "y_m")]
     return Zone(name=str(entry["name"]), place_m=np.column_stack(places), belief=belief_of(entry["belief"]))
-
-
-PAIRED_AT_ONCE = 256
-"""Draws of a population that are paired with others at a time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

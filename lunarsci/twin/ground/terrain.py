@@ -45,6 +45,8 @@ OVERRIDES = SOIL_COLUMNS | {name: len(SOIL_COLUMNS) + k for k, name in enumerate
 
 STEEPEST = math.tan(math.radians(STEEPEST_DEG))
 INTERPOLATIONS = ("smooth", "triangles")
+CENTER, GROUND, SOIL = (WHEEL.first[name] for name in ("center", "ground", "soil"))
+LEFT_OF_PRIOR = "_left_of_prior"
 
 
 class Grid(NamedTuple):
@@ -302,9 +304,6 @@ def read_surface(grid: Any, x: Any, y: Any, result: Any) -> None:
         result[k, 0], result[k, 1], result[k, 2] = surface_in(grid, i, j, column - j, row - i)
 
 
-CENTER, GROUND, SOIL = (WHEEL.first[name] for name in ("center", "ground", "soil"))
-
-
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def lay_soil(grid: Any, override: Any, wheel: Any) -> None:
     """Soil of every lane: that of `override` (GROUP, 12) where it is not NaN, else the terrain's first."""
@@ -424,9 +423,6 @@ def from_si(name: str, values: FloatArray) -> FloatArray:
 
 def _factor(name: str) -> float:
     return 1e3 if "_kpa" in name else 1e-3 if name.endswith("_mm") else 1.0
-
-
-LEFT_OF_PRIOR = "_left_of_prior"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

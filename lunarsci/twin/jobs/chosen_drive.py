@@ -35,7 +35,7 @@ from lunarsci.twin.plans.plan import Limit, Plan, plan_text, read_plan
 from lunarsci.twin.plans.risk import AcceptedRisk
 from lunarsci.twin.routes.candidates import MOST, candidate_plans
 from lunarsci.twin.routes.long_way import LONG_M
-from lunarsci.twin.routes.planner import PLACES_M, PlannedPath, RouteSearch, measured_path, search_margin_m
+from lunarsci.twin.routes.planner import PATH_STEP_M, PlannedPath, RouteSearch, measured_path, search_margin_m
 from lunarsci.twin.simulation.ensemble import member_parameters
 
 if TYPE_CHECKING:
@@ -43,6 +43,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CHECKED_EVERY_M = 0.1
+FRESH = 2
+"""Fresh soils for each one by which drives are chosen: 128 know a risk of 5 % to sqrt(0.05 x 0.95 / 128), 2 %."""
+SOURCES = ["Brown, Cai & DasGupta (2001), Statist. Sci. 16, 101, 10.1214/ss/1009213286"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -107,7 +110,7 @@ class LocalGround:
         """A path found on a patch, with the nodes of the site that it sweeps."""
         if not self.finer:
             return path
-        poses = poses_along(path.plan, PLACES_M)
+        poses = poses_along(path.plan, PATH_STEP_M)
         return replace(path, swept=swept_nodes(path.footprint, self.surface.terrain, poses))
 
     def checked(self, path: PlannedPath) -> list[dict[str, Any]]:
@@ -133,11 +136,6 @@ def likely_ground_of(site: SurveyedSite, *, exact: bool = True) -> Terrain:
     as_read = replace(site.terrain, height_m=site.file.terrain.height_m, errors=None)
     likely = site.file.likely(as_read, site.rover.wheel.width_m)
     return replace(likely, errors=None) if exact else likely
-
-
-FRESH = 2
-"""Fresh soils for each one by which drives are chosen: 128 know a risk of 5 % to sqrt(0.05 x 0.95 / 128), 2 %."""
-SOURCES = ["Brown, Cai & DasGupta (2001), Statist. Sci. 16, 101, 10.1214/ss/1009213286"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -47,6 +47,9 @@ SOURCES = [
     "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8",
     "Janosi & Hanamoto (1961), Proc. 1st Int. Conf. Mechanics of Soil-Vehicle Systems, Turin, 707",
 ]
+SOIL_TABLE = "soils.toml"
+OF_A_BELIEF = 64
+"""Drives on soils of a belief, or on draws of the ground, where their number is not given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -331,11 +334,6 @@ def named_option(name: str, error: Exception) -> str:
     """What is wrong with an option's value, with its name in backticks."""
     text = str(error)
     return f"`{name}`{text.removeprefix(name)}" if text.startswith(name) else f"`{name}`: {text}"
-
-
-SOIL_TABLE = "soils.toml"
-OF_A_BELIEF = 64
-"""Drives on soils of a belief, or on draws of the ground, where their number is not given."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,27 @@ from lunarsci.heights import HeightUnit
 from lunarsci.options import check_intervals
 from lunarsci.ranges import CHANCE, POSITIVE, SHARE
 
+MADE = {
+    "seed": "seed",
+    "spacing": "spacing_m",
+    "rocks": "rock_share",
+    "roughness": "rms_m",
+    "extent": "extent_m",
+    "ground_slope": "slope_deg",
+    "craters": "craters",
+}
+"""Options of synthetic ground, and what its makers call them."""
+OF_LONGJI = ("seed", "spacing", "rocks", "roughness")
+MAKERS = {"synthetic-longji": OF_LONGJI, "synthetic": tuple(MADE)}
+PLACE = ("X", "Y", "HEADING")
+OF_A_CHOICE = ("sweep", "members", "tolerance", "candidates", "fixes", "prefer", "exact_terrain", "charge")
+"""Options that ask for something only beside `risk`."""
+IN_A_MISSION = ("target", "start", "lonlat", "tolerance", "candidates", "fixes", "prefer")
+"""Options that a mission has in its file, or no use for."""
+LONGEST_LAG_S = 30.0
+"""Beyond which clocks are to be set, as with `start_time`; assumed. [s]"""
+UNCERTAIN = ("states", "belief", "draws", "correlation", "balance_error", "iterate")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoverOnGround:
@@ -43,24 +64,6 @@ class RoverOnGround:
     def ground(self) -> tuple[str | None, str | None, str, HeightUnit | None, str | None]:
         """The same in the order of `read_drive_inputs`."""
         return self.rover, self.terrain, self.interpolation, self.height_unit, self.gravity
-
-
-MADE = {
-    "seed": "seed",
-    "spacing": "spacing_m",
-    "rocks": "rock_share",
-    "roughness": "rms_m",
-    "extent": "extent_m",
-    "ground_slope": "slope_deg",
-    "craters": "craters",
-}
-"""Options of synthetic ground, and what its makers call them."""
-
-
-OF_LONGJI = ("seed", "spacing", "rocks", "roughness")
-
-
-MAKERS = {"synthetic-longji": OF_LONGJI, "synthetic": tuple(MADE)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -142,17 +145,6 @@ class TerrainRequest(GroundRequest):
 
 
 Place = str | tuple[float, ...]
-
-
-PLACE = ("X", "Y", "HEADING")
-
-
-OF_A_CHOICE = ("sweep", "members", "tolerance", "candidates", "fixes", "prefer", "exact_terrain", "charge")
-"""Options that ask for something only beside `risk`."""
-
-
-IN_A_MISSION = ("target", "start", "lonlat", "tolerance", "candidates", "fixes", "prefer")
-"""Options that a mission has in its file, or no use for."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -396,10 +388,6 @@ class SimulateDriveRequest(RoverOnGround):
     sample: float = 0.05
 
 
-LONGEST_LAG_S = 30.0
-"""Beyond which clocks are to be set, as with `start_time`; assumed. [s]"""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StatesRequest(RoverOnGround):
     """What telemetry is read with.
@@ -432,9 +420,6 @@ class StatesRequest(RoverOnGround):
     def span_s(self) -> tuple[float, float]:
         """First and last time. [s]"""
         return -inf if self.since is None else self.since, inf if self.until is None else self.until
-
-
-UNCERTAIN = ("states", "belief", "draws", "correlation", "balance_error", "iterate")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

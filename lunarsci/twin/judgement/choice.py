@@ -30,6 +30,18 @@ from lunarsci.twin.simulation.ensemble import DrawnDiscrepancy, PowerState, Pred
 from lunarsci.twin.simulation.members import Grounds
 
 Progress = Callable[[int, int], None]
+SHARED = ("rover", "terrain", "plan", "grounds", "before", "power")
+"""Fields of a prediction that need not come back from where it was computed."""
+UNFINISHED = "unfinished"
+ROUNDS = (0.25, 0.5, 1.0)
+"""Shares of the soils after which hopeless candidates stop: as soils double, half of the candidates go on (successive
+halving: Jamieson & Talwalkar 2016, Proc. Mach. Learn. Res. 51, 240)."""
+LEAST_LEFT = 8
+"""So many candidates are driven on all soils, where there are so many."""
+ALIKE = 0.01
+"""Drives whose energy, length or time differ by this share are alike; assumed."""
+CHECKED = 4
+"""So many of the best are driven again on fresh soils at a time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,10 +121,6 @@ class Conditions:
         return dataclasses.replace(driven, power=self.power)
 
 
-SHARED = ("rover", "terrain", "plan", "grounds", "before", "power")
-"""Fields of a prediction that need not come back from where it was computed."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class CandidateDrives:
     """Drives of some members along each of some plans: what `run_blocks` shares out, a row for each plan."""
@@ -182,9 +190,6 @@ def _joined_discrepancy(parts: Sequence[Prediction]) -> DrawnDiscrepancy | None:
         return None
     shares = {name: np.concatenate([one.shares[name] for one in drawn]) for name in drawn[0].shares}
     return DrawnDiscrepancy(law=drawn[0].law, offsets_m=np.concatenate([one.offsets_m for one in drawn]), shares=shares)
-
-
-UNFINISHED = "unfinished"
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,16 +316,6 @@ def _unfinished(prediction: Prediction) -> tuple[tuple[int, float], Weakest]:
 
 
 Preference: TypeAlias = Literal["energy", "length", "time", "risk"]
-
-ROUNDS = (0.25, 0.5, 1.0)
-"""Shares of the soils after which hopeless candidates stop: as soils double, half of the candidates go on (successive
-halving: Jamieson & Talwalkar 2016, Proc. Mach. Learn. Res. 51, 240)."""
-LEAST_LEFT = 8
-"""So many candidates are driven on all soils, where there are so many."""
-ALIKE = 0.01
-"""Drives whose energy, length or time differ by this share are alike; assumed."""
-CHECKED = 4
-"""So many of the best are driven again on fresh soils at a time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

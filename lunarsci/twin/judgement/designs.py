@@ -39,6 +39,8 @@ UNUSED = {
     "suspension.bogie": "it is no number",
 }
 """Numbers that change no drive, by table or key, and why."""
+CURVE = tuple(np.linspace(0.0, 0.6, 13).tolist())
+"""Slips at which a wheel's pull is looked at; the wheel model holds to 0.6, see `MAX_VALID_SLIP`. [-]"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,8 +174,6 @@ def check_design(rover: Rover, assumed: Sequence[str] = ()) -> None:
         raise ParameterError("the chassis lies on the ground; raise body.belly_z_m or take larger wheels")
 
 
-CURVE = tuple(np.linspace(0.0, 0.6, 13).tolist())
-"""Slips at which a wheel's pull is looked at; the wheel model holds to 0.6, see `MAX_VALID_SLIP`. [-]"""
 Drive = Callable[[int, dict[str, Any]], Prediction]
 """Drives plan number k of the mission with some of its inputs replaced."""
 

@@ -32,6 +32,8 @@ from lunarsci.twin.simulation.ensemble import MOST_BEYOND, STATE_COLUMNS, Predic
 
 CALIBRATED_SINKAGE_M = (0.005, 0.015)
 """Sinkages that the calibration of Ding et al. (2024), 10.1038/s41467-024-46233-8, covers: wheels of Yutu-2. [m]"""
+MOST_DRAWS = 0.75
+"""Of the draws of unseen ground that must fail for a no-go: a quarter of such plans would have kept. Assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,10 +107,6 @@ def validity_notes(states: Validity) -> list[str]:
 def percent(share: float) -> str:
     """A share in words, never rounded to nothing."""
     return "less than 0.1 %" if share < 0.001 else f"{100 * share:.1f} %"
-
-
-MOST_DRAWS = 0.75
-"""Of the draws of unseen ground that must fail for a no-go: a quarter of such plans would have kept. Assumed."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,6 +39,15 @@ PROFILED = {
 }
 """Quantities of the profiles, and their units."""
 ALL = "all"
+QUANTITIES = (
+    "normal_force_n",
+    "drawbar_pull_n",
+    "lateral_force_n",
+    "resistance_torque_nm",
+    "sinkage_m",
+    "slip_ratio",
+    "side_slip_deg",
+)
 
 
 def spread(values: FloatArray, reached: BoolArray) -> FloatArray:
@@ -214,17 +223,6 @@ def _of_the_motion(result: LoadEnsemble) -> "pd.DataFrame":
     marked = flat[:, STATE_COLUMNS.index("valid")] > 0.5
     columns["valid"] = marked & np.isfinite(mean).all(axis=1) & (mean[:, 0] > 0)
     return pd.DataFrame(columns).assign(rover=held.rover.written, ground=held.terrain.written)
-
-
-QUANTITIES = (
-    "normal_force_n",
-    "drawbar_pull_n",
-    "lateral_force_n",
-    "resistance_torque_nm",
-    "sinkage_m",
-    "slip_ratio",
-    "side_slip_deg",
-)
 
 
 @dataclass(frozen=True, slots=True)

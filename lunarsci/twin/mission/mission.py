@@ -22,6 +22,12 @@ from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import PowerState, Prediction
 
 MOST_TARGETS = 100
+NUMBERS = ("leg_m", "localisation_s", "time_budget_s", "speed_m_s")
+REST_SHARE = 0.3
+"""A rest of the way shorter than this share of a leg is driven with the leg before it; assumed."""
+MOST_LEGS = 500
+CORRECTIONS = 3
+"""Legs beyond those of the way, at most, that bring the rover nearer to a target that it has missed; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,18 +156,11 @@ def read_mission(source: Source) -> Mission:
         raise DataError(f"{file.name}: {error}") from error
 
 
-NUMBERS = ("leg_m", "localisation_s", "time_budget_s", "speed_m_s")
 Pose = tuple[float, float, float]
 Way = Callable[[Pose, tuple[float, float]], Plan]
 Drive = Callable[[Plan], Prediction]
 Safe = Callable[[Prediction], BoolArray]
 Fate = Literal["reached", "horizon", "no way", "no time", "no window", "no drive", "not tried"]
-
-REST_SHARE = 0.3
-"""A rest of the way shorter than this share of a leg is driven with the leg before it; assumed."""
-MOST_LEGS = 500
-CORRECTIONS = 3
-"""Legs beyond those of the way, at most, that bring the rover nearer to a target that it has missed; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -34,6 +34,10 @@ CLOCK_S = 1.0
 STANDSTILL = 0.5
 """Share of the usual speed of the commanded rims below which it is a halt; assumed."""
 SIGMAS = ("x_m_sigma", "y_m_sigma", "yaw_deg_sigma")
+CORRELATION_M = 0.5
+"""Distance over which errors of a smoothed motion stay alike, where nothing tells it; assumed. [m]"""
+WAVES = 48
+"""Of which an error is made up; its covariance is exact for any number, with more it also is nearly normal."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -218,12 +222,6 @@ def _check_times(file: str, time_s: FloatArray, duration_s: float) -> None:
             "they take its first or last commands"
         )
         warnings.warn(text, LunarSciWarning, stacklevel=4)
-
-
-CORRELATION_M = 0.5
-"""Distance over which errors of a smoothed motion stay alike, where nothing tells it; assumed. [m]"""
-WAVES = 48
-"""Of which an error is made up; its covariance is exact for any number, with more it also is nearly normal."""
 
 
 def correlation_of(motion: Motion, slip_ratio: FloatArray, slip_sigma: FloatArray) -> float | None:

@@ -45,6 +45,14 @@ VALUES = {
     "battery_charge": ("[0, 1]", "write a share, 0.3 for 30 %"),
 }
 """That limits can have, where any number above 0 cannot, and what another one was meant to be."""
+LIMITS_RULE = "sinkage a third of its wheel radius, tilt its max_slope_deg, the others as in the embedded plan"
+"""What a plan without [limits] is judged by."""
+_KEYS = ("name", "crs", "made_for", "start", "drive", "leg", "fixes", "limits", "sweep", "keep_out")
+LENGTHS_M, STOPS_S, HALTS_S = "[0, 10000]", "[1, 3600]", "[0, 3600]"  # assumed, to tell a slip of the pen
+SLOWEST_M_S = 0.001
+"""Slower, the creep of a halt is not small, and shear follows the wheel faster than any step; assumed. [m/s]"""
+RATIOS = "[0.2, 3]"
+"""Of a wheel test: a slip ratio between -0.8 and 0.67 where the rover keeps its speed; assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,10 +87,6 @@ def default_limits() -> tuple[Limit, ...]:
 
 def _embedded_plan() -> str:
     return (files(__package__) / "plan.toml").read_text("utf-8")
-
-
-LIMITS_RULE = "sinkage a third of its wheel radius, tilt its max_slope_deg, the others as in the embedded plan"
-"""What a plan without [limits] is judged by."""
 
 
 def rover_limits(rover: Rover) -> tuple[Limit, ...]:
@@ -125,14 +129,6 @@ def parse_limit(quantity: str, entry: Any, source: str = "the plan") -> Limit:
     check_keys(table, ("value", "source", "assumed"), f"limit {quantity}")
     value = number_of(table.get("value"), quantity)
     return Limit(quantity, QUANTITIES[quantity], value, str(table.get("source", "")), bool(table.get("assumed", False)))
-
-
-_KEYS = ("name", "crs", "made_for", "start", "drive", "leg", "fixes", "limits", "sweep", "keep_out")
-LENGTHS_M, STOPS_S, HALTS_S = "[0, 10000]", "[1, 3600]", "[0, 3600]"  # assumed, to tell a slip of the pen
-SLOWEST_M_S = 0.001
-"""Slower, the creep of a halt is not small, and shear follows the wheel faster than any step; assumed. [m/s]"""
-RATIOS = "[0.2, 3]"
-"""Of a wheel test: a slip ratio between -0.8 and 0.67 where the rover keeps its speed; assumed."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,6 +23,13 @@ PLACES = 48
 """At which courses are compared, and turns about obstacles counted."""
 LOOKED_AT = 3000
 """Courses of a number of arcs that are compared, the cheapest ones."""
+WIDEST_CRAB_DEG, DRAGGED_DEG = 60.0, 5.0
+"""A rover is not driven more sidewards than this where all its wheels steer, and where some are dragged; assumed."""
+LEAST_TURN_DEG = 15.0
+"""Targets less far to the side are reached by arcs as well as after a spot turn; assumed."""
+FIX_EVERY_M = (5.0, 2.5)
+"""Way between localisation updates, where there are any; assumed. [m]"""
+MOST = 50
 
 
 def course_places(start: FloatArray, arcs: FloatArray) -> FloatArray:
@@ -119,14 +126,6 @@ class DistinctWays:
 
 
 Progress = Callable[[int, int], None]
-
-WIDEST_CRAB_DEG, DRAGGED_DEG = 60.0, 5.0
-"""A rover is not driven more sidewards than this where all its wheels steer, and where some are dragged; assumed."""
-LEAST_TURN_DEG = 15.0
-"""Targets less far to the side are reached by arcs as well as after a spot turn; assumed."""
-FIX_EVERY_M = (5.0, 2.5)
-"""Way between localisation updates, where there are any; assumed. [m]"""
-MOST = 50
 
 
 @dataclass(frozen=True, slots=True)

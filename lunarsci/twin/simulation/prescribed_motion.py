@@ -46,6 +46,29 @@ from lunarsci.twin.simulation.settle import balance, settle, tread
 if TYPE_CHECKING:
     import pandas as pd
 
+FORCES = ("normal_force_n", "drawbar_pull_n", "lateral_force_n")
+"""Forces of a wheel, in the order of all arrays here."""
+LARGEST_RESIDUAL = 0.05
+"""Share of the weight: a residual beyond it says that the soil or the motion is not as given; assumed."""
+FORCE_COLUMNS = [STATE_COLUMNS.index(name) for name in FORCES]
+MEASURED = ("sinkage_m", "slip_ratio", "side_slip_deg")
+DRAWS, FEWEST_DRAWS = 64, 16
+BALANCE_ERROR = 0.005
+"""Standard error of the balance as a share of the weight, for a slope that is off by 0.3 deg, and inertia; assumed."""
+LEAST_CARRIED = 0.5
+"""Share of the soils that have to carry the rover at a pose for its forces to be told; assumed."""
+TOTALS = ("ahead", "left", "moment")
+SOIL_STILL, FORCES_STILL = 0.1, 0.01
+"""Largest move of the soil's mean, in what remains of its standard deviations, and of pulls and lateral forces as a
+share of themselves, in a round that has converged."""
+OPPOSITE, NOT_SMALLER = -0.5, 0.8
+"""Cosine between two moves of the soil below which the second goes back, and the share of the first that it has at
+least where the rounds do not calm down: after such moves more rounds end no nearer."""
+MOST_ROUNDS, WORST_REDUCED = 50, 1.5
+"""Rounds, and reduced chi-square of the states beyond which no soil explains them; assumed."""
+ALIKE = math.sqrt(2.0 * math.pi)
+"""Correlation lengths over which errors count as one: the integral of exp(-d^2 / 2)."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PrescribedLoads:
@@ -202,13 +225,6 @@ def _results(
     )
 
 
-FORCES = ("normal_force_n", "drawbar_pull_n", "lateral_force_n")
-"""Forces of a wheel, in the order of all arrays here."""
-LARGEST_RESIDUAL = 0.05
-"""Share of the weight: a residual beyond it says that the soil or the motion is not as given; assumed."""
-FORCE_COLUMNS = [STATE_COLUMNS.index(name) for name in FORCES]
-
-
 def contact_jacobian(result: PrescribedLoads) -> FloatArray:
     """What one newton of each wheel's forces adds to the totals. (n, 3 totals, wheels, 3 forces) [-, -, m]
 
@@ -244,9 +260,6 @@ def _shear_centers(result: PrescribedLoads) -> tuple[FloatArray, FloatArray]:
     sinkage, slip = (result.states[..., STATE_COLUMNS.index(name)] for name in ("sinkage_m", "slip_ratio"))
     ahead, below = shear_center(sinkage, slip, result.rover.wheel.vector())
     return ahead, below
-
-
-MEASURED = ("sinkage_m", "slip_ratio", "side_slip_deg")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -297,14 +310,6 @@ def correlation_length(motion: Motion, states: PoseStates | None) -> tuple[float
     shown = states.valid & np.isin(states.time_s, motion.time_s[~motion.no_speed])
     result = correlation_of(motion, states.values[shown, 1], states.sigmas[shown, 1])
     return (CORRELATION_M, "assumed") if result is None else (result, "slip errors")
-
-
-DRAWS, FEWEST_DRAWS = 64, 16
-BALANCE_ERROR = 0.005
-"""Standard error of the balance as a share of the weight, for a slope that is off by 0.3 deg, and inertia; assumed."""
-LEAST_CARRIED = 0.5
-"""Share of the soils that have to carry the rover at a pose for its forces to be told; assumed."""
-TOTALS = ("ahead", "left", "moment")
 
 
 @dataclass(frozen=True, slots=True)
@@ -529,18 +534,6 @@ def _parts(forces: list[FloatArray], noise: FloatArray, fitted: float = 1.0) -> 
     whole = fitted * forces[0].var(axis=0, ddof=1)
     soil, motion = (part.var(axis=0, ddof=1) for part in forces[1:]) if len(forces) == 3 else (whole, 0 * whole)
     return np.stack([soil, motion, noise, whole - soil - motion])
-
-
-SOIL_STILL, FORCES_STILL = 0.1, 0.01
-"""Largest move of the soil's mean, in what remains of its standard deviations, and of pulls and lateral forces as a
-share of themselves, in a round that has converged."""
-OPPOSITE, NOT_SMALLER = -0.5, 0.8
-"""Cosine between two moves of the soil below which the second goes back, and the share of the first that it has at
-least where the rounds do not calm down: after such moves more rounds end no nearer."""
-MOST_ROUNDS, WORST_REDUCED = 50, 1.5
-"""Rounds, and reduced chi-square of the states beyond which no soil explains them; assumed."""
-ALIKE = math.sqrt(2.0 * math.pi)
-"""Correlation lengths over which errors count as one: the integral of exp(-d^2 / 2)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
