@@ -5,11 +5,8 @@ two soils, before and after it, are fitted to the residuals by least squares wit
 the statistic is how much more they explain than one (the likelihood ratio of a change at an unknown place: Andrews
 1993, Econometrica 61, 821, 10.2307/2951764; Csorgo & Horvath 1997, Limit Theorems in Change-Point Analysis, Wiley).
 Its largest value over all places is held against those of simulated drives over one soil, whose noise is as large and
-as correlated along the way as what two soils leave.
-
-A drive as a line: where along the way each wheel stood, and residuals averaged over short pieces of the way.
-
-Zones of one soil along a drive: where it changes, and what each part of the drive says of its own soil.
+as correlated along the way as what two soils leave. Residuals are averaged over short pieces of the way, along which it
+is known where each wheel stood.
 
 A drive in which a change is found is cut in two, the soil of each part is found, and each part is searched in turn
 (binary segmentation: Vostrikova 1981, Soviet Math. Dokl. 24, 55), as long as there are changes.

@@ -1,10 +1,6 @@
-"""A prediction held against a drive, and whether it was to be trusted.
-
-Whether the bands of the wheel states hold as many of them as they should.
-
-Is what happened one of the things that were predicted: all quantities together, along the drive.
-
-Means of the wheels over pieces of a drive, measured and predicted, and how well the measured ones are known.
+"""A prediction held against a drive, and whether it was to be trusted: whether the bands of the wheel states hold as many
+of them as they should, and whether what happened is one of the things that were predicted, all quantities together, by
+means of the wheels over pieces of the drive.
 
 Neighbouring values are alike: all of a drive share one soil, and errors of measurement are shared by neighbours and by
 wheels where they come from one smoothed motion. So a piece of the drive counts as one value. What the members share is

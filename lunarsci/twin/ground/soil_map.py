@@ -7,9 +7,8 @@ the exponential kernel, eq. 4.18) with, as in a moving neighbourhood, the few zo
 its place nearest to the node. Within the track of the rover the belief is the zone's own; far from all zones it is
 that of the first laws: in space, this is how a belief is forgotten.
 
-Soil maps as files: JSON with the beliefs of the zones and their places.
-
-A soil map laid over a terrain: median soil and what is known of it at every node, and grounds drawn from it.
+A map is kept as JSON with the beliefs of the zones and their places. Laid over a terrain it is the median soil and what
+is known of it at every node, and grounds drawn from it.
 """
 
 import json

@@ -1,8 +1,5 @@
-"""What all candidates meet alike: the same soils, grounds and errors for each of them.
-
-The chance that a drive keeps all its limits, counted over soils, and where it comes nearest to breaking one.
-
-The choice among drives: all are driven on the same soils, hopeless ones stop early, the best are driven again.
+"""The choice among drives to a target: all are driven on the same soils, grounds and errors, each is held against its
+limits, hopeless ones stop early, and the best are driven again on fresh soils.
 """
 
 import dataclasses

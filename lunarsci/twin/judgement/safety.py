@@ -1,6 +1,5 @@
-"""Is the next drive safe: each limited quantity over the ensemble, and a verdict.
-
-Where the wheel model was used outside of what is known about it.
+"""Is the next drive safe: each limited quantity over the ensemble, where the wheel model was used outside of what is
+known about it, and a verdict.
 """
 
 import dataclasses

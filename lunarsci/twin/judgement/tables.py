@@ -1,12 +1,6 @@
-"""The prediction as tables: wheel states against distance, paths, ends.
-
-How the quantities of a drive spread over the members at each distance.
-
-Whether the wheels of a prediction carry what wheels of a slow rover can carry.
-
-What each wheel carried and pulled along a drive, as a few numbers.
-
-Forces with their uncertainty as a table: the input of the joint identification of a soil.
+"""Drives as tables: wheel states against distance, paths, ends, the spread of quantities over the members; what each
+wheel carried and pulled, whether wheels of a slow rover can, and forces with their uncertainty, the input of the joint
+identification of a soil.
 """
 
 from collections.abc import Sequence

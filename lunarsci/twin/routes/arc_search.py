@@ -1,8 +1,5 @@
-"""Search for courses of arcs over a map of costs and clearances: a lattice of arcs, then a local refinement.
-
-Arcs that end a path exactly where it shall end.
-
-What the search of a path looks up at a point: distance from the nearest obstacle, and cost of a metre.
+"""Search for courses of arcs over a map of costs and clearances: a lattice of arcs, arcs that end exactly where the path
+shall end, then a local refinement.
 """
 
 import math
