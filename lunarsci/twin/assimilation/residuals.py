@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray, at_times, samples_about
-from lunarsci.errors import DataError, LunarSciWarning, ParameterError
+from lunarsci.errors import LunarSciWarning, ParameterError, within_file
 from lunarsci.io.inputs import InputFile
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.prior import PARAMETERS
@@ -145,7 +145,7 @@ def read_record(
     if positions is not None:
         _forget_slips(table.file, table.table, values)
     fixes = Positions.none() if positions is None else read_positions(positions)
-    try:
+    with within_file(table.file):
         return DriveRecord(
             time_s=table.numbers("time_s"),
             wheel=table.wheels,
@@ -158,8 +158,6 @@ def read_record(
             rim_m_s=table.numbers("rim_m_s") if "rim_m_s" in table.table else None,
             doubt="; ".join(table.table["doubt"].dropna().unique()) if "doubt" in table.table else "",
         )
-    except ParameterError as error:
-        raise DataError(f"{table.file}: {error}") from error
 
 
 def _without_shared(table: StateTable) -> FloatArray:

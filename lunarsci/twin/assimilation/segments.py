@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import SIGNIFICANCE, BoolArray, FloatArray
-from lunarsci.errors import ParameterError
+from lunarsci.ranges import check_range
 from lunarsci.regolith.belief import SoilBelief, effective_rows
 from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.twin.assimilation.residuals import HUBER, MODEL_ERRORS, OBSERVED, SAMPLE_M, DriveRecord, states_at
@@ -359,8 +359,7 @@ def find_change(
     A change within 0.8 m of either end is not looked for. Errors of the terrain, too, can look like another soil.
     Raises ParameterError.
     """
-    if not 0.001 <= false_alarms <= 0.5:
-        raise ParameterError(f"the share of false alarms is {false_alarms:g}; give 0.001 to 0.5")
+    check_range("false_alarms", false_alarms, "[0.001, 0.5]")
     way = traverse_of(update.prediction)
     floor = np.array([MODEL_ERRORS[name] for name in OBSERVED])
     sigma = np.where(np.isfinite(update.residuals), np.hypot(record.sigmas, floor), np.nan)

@@ -19,6 +19,7 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, at_times
 from lunarsci.errors import ParameterError
+from lunarsci.ranges import NOT_NEGATIVE, check_range
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.regolith.prior import PARAMETERS, strange
@@ -229,10 +230,8 @@ def assimilate(
     Raises ParameterError for a record of another rover, with fewer values than parameters, or a drive that no soil of
     the belief carries to its end.
     """
-    if particles < FEWEST_PARTICLES:
-        raise ParameterError(f"{particles} particles are too few; give {FEWEST_PARTICLES} or more")
-    if not 0 <= model_error < np.inf:
-        raise ParameterError(f"model error is {model_error}; give 0 or more")
+    check_range("particles", particles, f"[{FEWEST_PARTICLES}, inf)")
+    check_range("model_error", model_error, NOT_NEGATIVE)
     random = np.random.default_rng(seed)
     common = {name: model_error * share for name, share in MODEL_SHARES.items()}
     bias = DriveBias(common, turns=model_error * float(np.sqrt(TURNS.variance)))

@@ -1,6 +1,7 @@
-"""A prediction held against a drive, and whether it was to be trusted: whether the bands of the wheel states hold as many
-of them as they should, and whether what happened is one of the things that were predicted, all quantities together, by
-means of the wheels over pieces of the drive.
+"""A prediction held against a drive, and whether it was to be trusted.
+
+Bands of wheel states have to hold as many of them as they should, and what happened has to be one of the things that
+were predicted, all quantities together, by means of the wheels over pieces of the drive.
 
 Neighbouring values are alike: all of a drive share one soil, and errors of measurement are shared by neighbours and by
 wheels where they come from one smoothed motion. So a piece of the drive counts as one value. What the members share is

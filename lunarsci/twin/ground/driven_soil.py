@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
-from lunarsci.errors import DataError, RequestError
+from lunarsci.errors import DataError, RequestError, within_file
 from lunarsci.io.documents import toml_document
 from lunarsci.io.inputs import InputFile, Source, read_input
 from lunarsci.io.tables import numbers_of, read_csv_table
@@ -104,15 +104,13 @@ def read_soil_samples(
     """
     file = source if isinstance(source, InputFile) else read_input(str(source))
     table = read_csv_table(file)
-    try:
+    with within_file(file.name, ValueError):
         unknown = [str(name) for name in table if name not in SOIL_COLUMNS]
         if unknown:
             raise DataError(f"'{unknown[0]}' is not a soil parameter; {one_of(unknown[0], SOIL_COLUMNS)}")
         if table.empty:
             raise DataError("no soils; a row for each is wanted")
         rows = _rows(len(table), members, seed)
-    except ValueError as error:
-        raise DataError(f"{file.name}: {error}") from error
     return {str(name): _column(file.name, str(name), cells)[rows] for name, cells in table.items()}
 
 
@@ -121,10 +119,8 @@ def _column(file: str, name: str, cells: "pd.Series") -> FloatArray:
     strange = np.flatnonzero(~np.isfinite(values))
     suspects = strange[:1] if strange.size else (np.argmin(values), np.argmax(values))
     for row in suspects:
-        try:
+        with within_file(f"{file}, row {row + 1}", ValueError):
             soil_override({name: float(values[row])})
-        except ValueError as error:
-            raise DataError(f"{file}, row {row + 1}: {error}") from error
     return values
 
 

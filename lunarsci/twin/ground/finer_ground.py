@@ -1,4 +1,4 @@
-"""Ground finer than a coarse grid: drawn from the roughness of the Moon by scale, or measured, as patches of fine nodes.
+"""Ground finer than a coarse grid: drawn by the roughness of the Moon by scale, or measured, as patches of fine nodes.
 
 A map from orbit shows no ground between its nodes, and a rover meets it. Differences of lunar heights over a distance l
 have the variance c l^(2 H), and medians of slope and exponent are known for maria and highlands down to 17 m. That the

@@ -16,7 +16,7 @@ from scipy.ndimage import correlate1d, maximum_filter, uniform_filter, uniform_f
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.compiled import compiled, each_in_threads
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import DataError, ParameterError, within_file
 from lunarsci.heights.grid import HeightGrid
 from lunarsci.heights.grids import geotiff_bytes, read_grid
 from lunarsci.heights.projections import MapProjection, projection_of
@@ -342,10 +342,8 @@ def read_cost_layer(path: str, terrain: Terrain, classes: Mapping[float, float])
         factor = np.ones(values.shape)
         for value, cost in classes.items():
             factor[np.abs(values - value) < SAME_CLASS] = cost
-    try:
+    with within_file(path):
         return CostLayer(name=Path(path).name, factor=factor.astype(np.float32), covered_share=float(covered.mean()))
-    except ParameterError as error:
-        raise DataError(f"{path}: {error}") from error
 
 
 def _values_at(grid: HeightGrid, terrain: Terrain, path: str) -> npt.NDArray[np.float64]:
@@ -420,12 +418,10 @@ def read_mobility(description: RoverDescription, rover: Rover) -> Mobility:
     }
     assumed = {name for name in values if name not in table}
     assumed |= {key.removeprefix("limits.") for key in description.assumed if key.startswith("limits.")}
-    try:
+    with within_file(description.origin):
         check_keys(table, names, "[limits]")
         values |= {name: number_of(value, f"[limits] {name}") for name, value in table.items()}
         return Mobility(**values, assumed=tuple(sorted(assumed)))  # type: ignore[arg-type]
-    except ParameterError as error:
-        raise DataError(f"{description.origin}: {error}") from error
 
 
 FloatMap = npt.NDArray[np.float32]

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.compiled import compiled
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import DataError, ParameterError, within_file
 from lunarsci.heights.grid import ERROR_LAYERS, HeightGrid
 from lunarsci.heights.grids import check_relief, read_grid
 from lunarsci.heights.projections import projection_or_none
@@ -487,10 +487,8 @@ def read_terrain_file(path: str | Path, soil: Soil, height_unit: str | None = No
     """
     unread = tuple(f"{name}{LEFT_OF_PRIOR}" for name in SOIL_COLUMNS)
     grid = read_grid(path, (*SOIL_COLUMNS, *ERROR_LAYERS), unread, unit=height_unit, onto=onto)
-    try:
+    with within_file(str(path), TypeError, ValueError, MemoryError):
         read = _read_terrain(grid, soil)
-    except (TypeError, ValueError, MemoryError) as error:
-        raise DataError(f"{path}: {error}") from error
     check_relief(path, read.terrain.height_m, grid.spacing_m)
     return read
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import BoolArray
-from lunarsci.errors import DataError, LunarSciWarning, ParameterError
+from lunarsci.errors import DataError, LunarSciWarning, within_file
 from lunarsci.figure import file_label
 from lunarsci.io.inputs import InputFile, Source, read_input
 from lunarsci.options import request_of
@@ -169,10 +169,8 @@ def compare(
         text = f"{source.name}: was made on '{driven}', and predicted on '{forecast.terrain}': is it the same drive?"
         warnings.warn(text, LunarSciWarning, stacklevel=2)
     record, independent = whole_record(table, fixes, built)
-    try:
+    with within_file(source.name):
         matched = match_observations(forecast, record, independent)
-    except ParameterError as error:
-        raise DataError(f"{source.name}: {error}") from error
     inputs |= {file.name: file.sha256 for file in (source, fixes) if file}
     lesson = None if asked.belief is None else read_input(asked.belief)
     before, after = (None, None) if lesson is None else _taught(matched, lesson, source)

@@ -8,7 +8,7 @@ from typing import Any
 
 from lunarsci.arrays import FloatArray
 from lunarsci.constants import LUNAR_GRAVITY
-from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
+from lunarsci.errors import DataError, LunarSciWarning, RequestError, within_option
 from lunarsci.heights import HeightUnit
 from lunarsci.io.documents import json_document
 from lunarsci.io.inputs import Source, read_input
@@ -316,24 +316,14 @@ def soil_hashes(given: GivenSoil, driven: DrivenSoil | None) -> tuple[dict[str, 
 
 def parsed_fixes(text: str) -> Fixes:
     """What an option says of position fixes. Raises RequestError."""
-    try:
+    with within_option("fixes"):
         return parse_fixes(text)
-    except ParameterError as error:
-        raise RequestError(named_option("fixes", error)) from error
 
 
 def on_gravity(rover: Rover, gravity: str | None) -> Rover:
     """A rover where gravity is what an option says. Raises RequestError."""
-    try:
+    with within_option("gravity"):
         return with_gravity(rover, gravity)
-    except ParameterError as error:
-        raise RequestError(named_option("gravity", error)) from error
-
-
-def named_option(name: str, error: Exception) -> str:
-    """What is wrong with an option's value, with its name in backticks."""
-    text = str(error)
-    return f"`{name}`{text.removeprefix(name)}" if text.startswith(name) else f"`{name}`: {text}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -468,7 +458,5 @@ class Soils:
 
 
 def _parsed_sweep(sweep: Sequence[str]) -> tuple[Sweep, ...]:
-    try:
+    with within_option("sweep"):
         return tuple(parse_sweep(text) for text in sweep)
-    except ParameterError as error:
-        raise RequestError(named_option("sweep", error)) from error

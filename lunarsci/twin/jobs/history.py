@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import within_file
 from lunarsci.figure import file_label
 from lunarsci.io.inputs import InputFile, Source, read_input
 from lunarsci.options import request_of
@@ -126,7 +126,7 @@ def history(belief: Source, request: HistoryRequest | None = None, **options: An
     source = read_input(belief)
     other = None if asked.against is None else read_input(asked.against)
     one, two = read_belief(source), None if other is None else read_belief(other)
-    try:
+    with within_file(source.name):
         return BeliefHistory(
             source=source,
             belief=one,
@@ -137,8 +137,6 @@ def history(belief: Source, request: HistoryRequest | None = None, **options: An
             rollback=asked.rollback,
             rolled_back=None if asked.rollback is None else rolled_back(one, asked.rollback),
         )
-    except ParameterError as error:
-        raise DataError(f"{source.name}: {error}") from error
 
 
 def _drives(belief: SoilBelief) -> list[dict[str, Any]]:

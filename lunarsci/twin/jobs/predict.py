@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from lunarsci.errors import ParameterError, RequestError
+from lunarsci.errors import within_option
 from lunarsci.io.inputs import Source
 from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
@@ -18,7 +18,7 @@ from lunarsci.twin.comparison.forecast import FILE, forecast_document, forecast_
 from lunarsci.twin.ground.finer_ground import Unresolved, with_unresolved
 from lunarsci.twin.ground.hazards import read_mobility
 from lunarsci.twin.ground.illumination import parse_sun
-from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, Soils, named_option, read_drive_inputs
+from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, Soils, read_drive_inputs
 from lunarsci.twin.jobs.requests import PoweredRequest, PredictRequest
 from lunarsci.twin.judgement import tables as judged
 from lunarsci.twin.judgement.endpoint import (
@@ -50,10 +50,8 @@ def power_of(request: PoweredRequest) -> PowerState | None:
     """Battery and light; None where neither is given. Raises RequestError."""
     if request.sun is None and request.charge is None:
         return None
-    try:
+    with within_option("sun"):
         sun = None if request.sun is None else parse_sun(request.sun)
-    except ParameterError as error:
-        raise RequestError(named_option("sun", error)) from error
     return PowerState(charge=1.0 if request.charge is None else request.charge, sun=sun)
 
 

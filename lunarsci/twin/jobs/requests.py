@@ -10,8 +10,8 @@ from typing import Any, Literal
 
 from lunarsci.errors import RequestError
 from lunarsci.heights import HeightUnit
-from lunarsci.options import check_intervals
-from lunarsci.ranges import CHANCE, POSITIVE, SHARE
+from lunarsci.options import check_intervals, refuse_where
+from lunarsci.ranges import CHANCE, POSITIVE, SHARE, refuse
 
 MADE = {
     "seed": "seed",
@@ -205,10 +205,11 @@ class PlanRequest(GroundRequest):
         if self.purpose == "mission":
             self._check_mission()
             return
-        if not self.target:
-            raise RequestError("`target` says where the path shall end; give X,Y or X,Y,HEADING")
-        if self.start_files and self.lonlat:
-            raise RequestError(f"`start` {self.start} is in m, and `lonlat` in deg; give its longitude and latitude")
+        refuse_where({
+            "`target` says where the path shall end; give X,Y or X,Y,HEADING": not self.target,
+            f"`start` {self.start} is in m, and `lonlat` in deg; give its longitude and latitude":
+                self.lonlat and bool(self.start_files),
+        })  # fmt: skip
         for name, counts in (("start", (3,)), ("target", (2, 3))):
             if name == "target" or not self.start_files:
                 object.__setattr__(self, name, _numbers(name, getattr(self, name), counts))
@@ -219,21 +220,23 @@ class PlanRequest(GroundRequest):
 
     def _check_mission(self) -> None:
         """Of a mission the file says where."""
-        defaults = {field.name: field.default for field in fields(self)}
-        for name in IN_A_MISSION:
-            if getattr(self, name) != defaults[name]:
-                raise RequestError(f"`{name}` and `mission` do not go together: the mission's file says where; "
-                                   "give one of them")  # fmt: skip
+        refuse((
+            f"`{name}` and `mission` do not go together: the mission's file says where; give one of them"
+            for name in self._given(IN_A_MISSION)
+        ), kind=RequestError)  # fmt: skip
         check_intervals(self, {"[2, inf)": "members"})
 
     def _check_path(self) -> None:
         """Without a risk nothing is chosen."""
+        refuse_where({
+            **{f"`{one}` is for drives that are compared; give `risk`, too": True for one in self._given(OF_A_CHOICE)},
+            "several soils are for drives that are compared; give `risk`, too, or one `soil`": len(self.soil) > 1,
+        })  # fmt: skip
+
+    def _given(self, names: tuple[str, ...]) -> list[str]:
+        """Those of some options that are not as they are without being given."""
         defaults = {field.name: field.default for field in fields(self)}
-        for name in OF_A_CHOICE:
-            if getattr(self, name) != defaults[name]:
-                raise RequestError(f"`{name}` is for drives that are compared; give `risk`, too")
-        if len(self.soil) > 1:
-            raise RequestError("several soils are for drives that are compared; give `risk`, too, or one `soil`")
+        return [name for name in names if getattr(self, name) != defaults[name]]
 
     @property
     def purpose(self) -> Literal["path", "choice", "mission"]:
@@ -453,12 +456,14 @@ class LoadsRequest(RoverOnGround):
     as_written: bool = False
 
     def __post_init__(self) -> None:
-        if not self.uncertain and self.seed is not None:
-            raise RequestError("`seed` draws nothing here; give `draws` or `belief`, or leave it out")
-        if self.uncertain and self.soil is not None:
-            raise RequestError("`soil` has no use beside soils drawn from `belief` or the priors; leave it out")
-        if self.iterate is not None and self.states is None:
-            raise RequestError("`iterate` learns from measured sinkages and slips; give `states`")
+        refuse_where({
+            "`seed` draws nothing here; give `draws` or `belief`, or leave it out":
+                not self.uncertain and self.seed is not None,
+            "`soil` has no use beside soils drawn from `belief` or the priors; leave it out":
+                self.uncertain and self.soil is not None,
+            "`iterate` learns from measured sinkages and slips; give `states`":
+                self.iterate is not None and self.states is None,
+        })  # fmt: skip
 
     @property
     def uncertain(self) -> bool:
@@ -498,8 +503,12 @@ class UpdateRequest(RoverOnGround):
     as_written: bool = False
 
     def __post_init__(self) -> None:
-        if self.forget and self.soil is None:
-            raise RequestError("`forget` has nothing to forget, as the priors are believed; give `soil`")
+        refuse_where({
+            "`forget` has nothing to forget, as the priors are believed; give `soil`":
+                bool(self.forget) and self.soil is None,
+            "`correlation` is of a soil map; give one as `soil`, or save one":
+                self.correlation is not None and self.soil is None and not self.by_place,
+        })  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -571,8 +580,9 @@ class SweepRequest(PoweredRequest):
 
     def __post_init__(self) -> None:
         PoweredRequest.__post_init__(self)
-        if not self.vary:
-            raise RequestError("nothing to vary; give `vary` NAME=LOW:HIGH:N, for example wheel.radius_m=0.10:0.20:5")
+        refuse_where({
+            "nothing to vary; give `vary` NAME=LOW:HIGH:N, for example wheel.radius_m=0.10:0.20:5": not self.vary
+        })  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

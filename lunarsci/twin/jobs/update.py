@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from lunarsci.errors import DataError, LunarSciWarning, RequestError
 from lunarsci.figure import as_label
 from lunarsci.io.inputs import InputFile, Source, read_input
-from lunarsci.options import request_of
+from lunarsci.options import refuse_where, request_of
 from lunarsci.regolith.belief import SoilBelief, contact_rows, parameter_rows, with_drive
 from lunarsci.regolith.prior import PARAMETERS, asked_in, prior_hash
 from lunarsci.result import Doubt, MadeFrom, Result, job
@@ -28,9 +28,6 @@ if TYPE_CHECKING:
 
 
 SAMPLER = "Christen & Fox (2005), J. Comput. Graph. Stat. 14, 795"
-
-
-NO_MAP = "`correlation` is of a soil map; give one as `soil`, or save one"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -53,10 +50,12 @@ class Before:
         """Read a belief or a map. Raises DataError, RequestError for options that do not fit what it is."""
         given = GivenSoil.of_source(PRIORS if asked.soil is None else asked.soil)
         file, belief, soil_map = None if given.name == PRIORS else given.file, given.belief, given.soil_map
-        if file is not None and soil_map is None and asked.by_place:
-            raise RequestError("`soil` is of one soil everywhere; give a map, or leave the map's options out")
-        if asked.correlation is not None and not (soil_map or asked.by_place):
-            raise RequestError(NO_MAP)
+        refuse_where({
+            "`soil` is of one soil everywhere; give a map, or leave the map's options out":
+                file is not None and soil_map is None and asked.by_place,
+            "`correlation` is of a soil map; give one as `soil`, or save one":
+                asked.correlation is not None and soil_map is None and not asked.by_place,
+        })  # fmt: skip
         if soil_map is None and asked.by_place:
             across = abs(inputs.rover.wheel_positions_m[:, 1]).max() + 0.5 * inputs.rover.wheel.width_m
             soil_map = SoilMap(reach_m=round(float(across), 3))
@@ -230,8 +229,6 @@ def update(
     Raises DataError for files that cannot be used and a drive that counted before, RequestError for impossible options.
     """
     asked = request_of(UpdateRequest, request, options)
-    if asked.correlation is not None and asked.soil is None and not asked.by_place:
-        raise RequestError(NO_MAP)
     inputs = read_drive_inputs(asked.plan, *asked.ground, soil_counts=False)
     source, fixes = read_input(states), None if asked.positions is None else read_input(asked.positions)
     table = read_drive_states(source, inputs.rover)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.errors import DataError, LunarSciWarning, ParameterError
+from lunarsci.errors import LunarSciWarning, ParameterError, within_file
 from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.ranges import POSITIVE, check_range, refuse
@@ -123,7 +123,7 @@ def read_motion(
     file = source if isinstance(source, InputFile) else read_input(str(source))
     table = read_csv_table(file)
     check_written_for(file.name, table, rover.wheel, rover.name)
-    try:
+    with within_file(file.name):
         refuse(_lacking(table, rover, plan))
         table = _one_member(file.name, table, member)
         pose = {name: numbers_of(file.name, name, table[name]) for name in POSE_COLUMNS}
@@ -132,8 +132,6 @@ def read_motion(
         if SIGMAS[0] in table:
             sigmas = np.column_stack([numbers_of(file.name, name, table[name]) for name in SIGMAS])
         motion = Motion(**pose, steering_deg=steering, speed_m_s=speed, sigmas=sigmas, halted=halted)
-    except ParameterError as error:
-        raise DataError(f"{file.name}: {error}") from error
     _warn_of_gaps(file.name, motion.time_s)
     return motion
 

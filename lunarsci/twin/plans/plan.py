@@ -9,7 +9,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Any, Literal
 
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import ParameterError, within_file
 from lunarsci.io.documents import check_keys, number_of, record_of, records_of, toml_of
 from lunarsci.io.inputs import Source, read_input
 from lunarsci.ranges import FINITE, NOT_NEGATIVE, POSITIVE, check_range, check_ranges, refuse
@@ -343,7 +343,7 @@ def read_plan(source: "Source | None" = None) -> Plan:
 
 def parse_plan(text: str | bytes, origin: str) -> Plan:
     """The plan of a TOML text; `origin` is its file. Raises DataError."""
-    try:
+    with within_file(origin):
         document = toml_of(origin, text)
         check_keys(document, _KEYS, "the plan")
         start, drive, limits, sweep = (document.get(name, {}) for name in ("start", "drive", "limits", "sweep"))
@@ -369,8 +369,6 @@ def parse_plan(text: str | bytes, origin: str) -> Plan:
             accepted_risk=None if risk is None else AcceptedRisk(number_of(risk, "accepted_risk")),
             **{key: number_of(value, key) for key, value in (start | drive).items()},
         )
-    except ParameterError as error:
-        raise DataError(f"{origin}: {error}") from error
 
 
 def plan_text(plan: Plan) -> str:
@@ -409,15 +407,13 @@ def _numbers(given: object, *names: str) -> list[str]:
 def read_limits(source: Source) -> tuple[Limit, ...]:
     """The [limits] of a TOML file, which may be a plan. Raises DataError, also for one without any."""
     file = read_input(source)
-    try:
+    with within_file(file.name):
         table = toml_of(file.name, file.data).get("limits")
         if not isinstance(table, dict) or not table:
             raise ParameterError("no [limits] in it; write quantities and their limits there, as endpoint_miss_m = 0.5")
         if "keep_out_m" in table:
             raise ParameterError("limit keep_out_m is of the circles of one plan; leave it out, or make these wider")
         return tuple(parse_limit(quantity, entry, file.name) for quantity, entry in table.items())
-    except ParameterError as error:
-        raise DataError(f"{file.name}: {error}") from error
 
 
 def _quoted(text: str) -> str:

@@ -1,5 +1,5 @@
-"""Search for courses of arcs over a map of costs and clearances: a lattice of arcs, arcs that end exactly where the path
-shall end, then a local refinement.
+"""Search for courses of arcs over a map of costs and clearances: a lattice of arcs, arcs that end exactly at a target,
+then a local refinement.
 """
 
 import math

@@ -12,6 +12,7 @@ from scipy.ndimage import label, minimum_position
 
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.errors import ParameterError
+from lunarsci.ranges import check_range
 from lunarsci.twin.ground.hazards import RoverFootprint, Traversability
 from lunarsci.twin.plans.path import arc_end
 from lunarsci.twin.plans.plan import Fixes, Leg, Limit, Plan
@@ -186,8 +187,7 @@ def candidate_plans(
     obstacles is refined, and courses join it that sweep other ground. All keep the clearance that `plan_path` keeps,
     and end at the target. Raises ParameterError as `plan_path` does, also where there is none.
     """
-    if most < 1:
-        raise ParameterError(f"candidates are {most}; give 1 or more")
+    check_range("candidates", most, "[1, inf)")
     search = RouteSearch.of(surface, rover, start, target, final_heading_deg)
     template = Plan(
         name="candidate", legs=(Leg(1.0),), speed_m_s=commanded_speed(rover, speed_m_s), x_m=start[0], y_m=start[1],

@@ -30,6 +30,7 @@ from lunarsci.arrays import SIGNIFICANCE, BoolArray, FloatArray, IntArray, at_ti
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import ParameterError
 from lunarsci.io.inputs import InputFile
+from lunarsci.ranges import CHANCE, check_range
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.inference.totals import BalancedStates, TotalsPosterior, infer_from_totals
 from lunarsci.regolith.states import COLUMNS, read_state_table
@@ -440,10 +441,8 @@ def draw_loads(
     10.1007/s10236-003-0036-9.
     """
     rows = soil_overrides(soils, len(next(iter(soils.values()))))
-    if len(rows) < FEWEST_DRAWS:
-        raise ParameterError(f"{len(rows)} draws are too few for a standard deviation; give {FEWEST_DRAWS} or more")
-    if not 0 < balance_error < 1:
-        raise ParameterError(f"the error of the balance is {balance_error:g}; give a share above 0 and below 1")
+    check_range("draws", len(rows), f"[{FEWEST_DRAWS}, inf)")
+    check_range("balance_error", balance_error, CHANCE)
     center = soil_overrides({name: np.array([value]) for name, value in middle.items()}, 1)[0]
     motions = list(drawn_motions(motion, len(rows), correlation_m, np.random.default_rng(seed)))
     still, same = [motion] * len(rows), np.tile(center, (len(rows), 1))
@@ -605,8 +604,7 @@ def alternate(
 
     Raises ParameterError for rounds out of range, and states without anything to learn from.
     """
-    if not 1 <= rounds <= MOST_ROUNDS:
-        raise ParameterError(f"{rounds} rounds; give 1 to {MOST_ROUNDS}")
+    check_range("rounds", rounds, f"[1, {MOST_ROUNDS}]")
 
     def forces_on(soil: SoilBelief, number: int) -> LoadEnsemble:
         return draw_loads(
