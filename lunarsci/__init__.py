@@ -8,8 +8,8 @@ Every main job of the command line is a function here, with the same defaults, r
 
 Each takes paths, open files, tables or arrays, and options by name, which its help lists. Each gives a `Result`:
 `print` shows the text of the command, `.to_table()` is an astropy QTable, `.plot()` a matplotlib Figure, `.to_dict()`
-the `result` of `--json`, `.untrusted` why it should not be trusted. Jobs are imported when they are first named.
-Other commands, such as `spectra map` and `info`, are on the command line alone.
+the `result` of `--json`, `.untrusted` why it should not be trusted, `.doubt` the same reason by reason. Jobs are
+imported when they are first named. Other commands, such as `spectra map` and `info`, are on the command line alone.
 """
 
 from importlib import import_module

@@ -34,7 +34,7 @@ def robust_scatter(values: FloatArray, about: float | None = None) -> float:
 
 
 SIGNIFICANCE = 0.01
-"""Share of normal errors that is taken for outliers; assumed."""
+"""Share of normal errors that is taken for outliers, and of right models that a test of fit rejects; assumed."""
 
 
 def huber_weights(squares: FloatArray, freedom: int) -> FloatArray:

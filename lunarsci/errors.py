@@ -14,7 +14,8 @@ Each also inherits the builtin a caller would expect. The message is one line: w
 """
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 
 
 class LunarSciError(Exception):
@@ -97,6 +98,26 @@ class RequestError(ParameterError):
 
     The command line shows `model_error` as --model-error and leaves with exit code 2.
     """
+
+
+@contextmanager
+def within_file(name: str, *others: type[Exception]) -> Iterator[None]:
+    """What is wrong with values, and errors of some other kinds, as a DataError that begins with the file's name."""
+    try:
+        yield
+    except (ParameterError, *others) as error:
+        raise DataError(f"{name}: {error}") from error
+
+
+@contextmanager
+def within_option(name: str) -> Iterator[None]:
+    """What is wrong with a value as a RequestError that begins with the option's name."""
+    try:
+        yield
+    except ParameterError as error:
+        text = str(error)
+        rest = text.removeprefix(name) if text.startswith(name) else f": {text}"
+        raise RequestError(f"`{name}`{rest}") from error
 
 
 class OutputError(LunarSciError, OSError):

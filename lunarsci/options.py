@@ -11,7 +11,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from lunarsci.errors import RequestError
 from lunarsci.names import one_of
-from lunarsci.ranges import in_words, is_within
+from lunarsci.ranges import in_words, is_within, refuse
 
 Request = TypeVar("Request")
 _ATTRIBUTES = re.compile(r"^Attributes\n-+\n(.*?)(?=\n\n|\Z)", re.DOTALL | re.MULTILINE)
@@ -123,3 +123,8 @@ def check_intervals(request: object, intervals: Mapping[str, str]) -> None:
             value = getattr(request, name)
             if value is not None and not is_within(value, interval):
                 raise RequestError(f"`{name}` is {value:g}; give {in_words(interval)}")
+
+
+def refuse_where(reasons: Mapping[str, bool]) -> None:
+    """Raises RequestError with the first sentence that holds of the options."""
+    refuse((reason for reason, holds in reasons.items() if holds), kind=RequestError)

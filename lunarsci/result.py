@@ -72,6 +72,7 @@ ENDS = ("_sigma", "_low", "_high", "_low68", "_high68", "_low95", "_high95")
 FINE = ("ok", "converged")
 NO_VALUE = ("beyond_range", "no_channels", "undefined")
 """What a `status` says of a value that may be used, and of one that may not."""
+NOT_TO_BE_TRUSTED = "not to be trusted"
 UNMOVED = 0.9
 """Share of a prior's standard deviation above which a value is the prior's; assumed."""
 AS_PRIOR = "the prior's: the spectrum says nothing"
@@ -149,9 +150,34 @@ class Asked:
     warnings: Sequence[str] = ()
 
 
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """Why a result should not be trusted or acted on; false where it may be, as text one sentence.
+
+    Attributes
+    ----------
+    reasons : the most important first.
+    verdict : what they mean, such as `not to be trusted`; the sentence begins with it.
+    """
+
+    reasons: tuple[str, ...] = ()
+    verdict: str = ""
+
+    @classmethod
+    def of(cls, *reasons: object, verdict: str = "") -> "Doubt":
+        """Of reasons as text, empty ones left out; another doubt is one reason."""
+        return cls(tuple(filter(None, map(str, reasons))), verdict)
+
+    def __bool__(self) -> bool:
+        return bool(self.reasons)
+
+    def __str__(self) -> str:
+        return ": ".join(filter(None, (self.verdict, "; ".join(self.reasons)))) if self else ""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Result(ABC):
-    """What a job found; a job's own result says `to_dict`, `rows`, `figures`, `made_from` and `untrusted`.
+    """What a job found; a job's own result says `to_dict`, `rows`, `figures`, `made_from` and `doubt`.
 
     `print` shows the text of its command, a notebook its tables.
 
@@ -162,7 +188,8 @@ class Result(ABC):
     schema : name and version of its JSON, such as `spectra-fit/1`.
     page_title : what it is called on a page of `lunarsci report`, such as `Minerals`.
     made_from : what it was made from.
-    untrusted : one sentence, why it should not be trusted or acted on; '' if it may be.
+    doubt : why it should not be trusted or acted on, reason by reason.
+    untrusted : the same as one sentence; '' if it may be.
     failures : inputs that gave no result, one sentence each.
     asked : what it was asked with, where a function of lunarsci made it.
     """
@@ -190,8 +217,12 @@ class Result(ABC):
         return MadeFrom()
 
     @property
+    def doubt(self) -> Doubt:
+        return Doubt()
+
+    @property
     def untrusted(self) -> str:
-        return ""
+        return str(self.doubt)
 
     @property
     def failures(self) -> Sequence[Failure]:

@@ -31,7 +31,7 @@ CROWDED = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Moves:
-    """When points have moved enough: when no coordinate's correlation with its values before is `forgotten` or more,
+    """When points have moved enough: when no coordinate's correlation with its values before is `decorrelated` or more,
     after `fewest` moves and `most` at the latest.
 
     With `mirrored`, correlations below 0 count as well, as of trajectories that may end on the other side.
@@ -39,7 +39,7 @@ class Moves:
 
     fewest: int
     most: int
-    forgotten: float
+    decorrelated: float
     mirrored: bool = False
 
 
@@ -122,7 +122,7 @@ def correlation(before: FloatArray, after: FloatArray, mirrored: bool = False) -
     return float(np.max(np.abs(each) if mirrored else each))
 
 
-def forget(
+def mutate(
     population: Moving, beta: float, moves: Moves, progress: Callable[[int], None] = lambda done: None
 ) -> tuple[int, float]:
     """Move points until they have forgotten where they were; how often, and the correlation left.
@@ -130,7 +130,7 @@ def forget(
     `progress` is called after each move with how many there were.
     """
     before, done, left = population.points.copy(), 0, 1.0
-    while done < moves.fewest or (done < moves.most and left >= moves.forgotten):
+    while done < moves.fewest or (done < moves.most and left >= moves.decorrelated):
         population.move(beta)
         done, left = done + 1, correlation(before, population.points, moves.mirrored)
         progress(done)
@@ -155,4 +155,4 @@ def carry(
         beta = 1.0 if rise == rest else beta + rise
         weight = weights(rise * value)
         population.resample(beta, weight, systematic(weight, random.random()))
-        yield Raise(beta, *forget(population, beta, (last or each) if beta >= 1.0 else each))
+        yield Raise(beta, *mutate(population, beta, (last or each) if beta >= 1.0 else each))

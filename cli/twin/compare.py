@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lunarsci.errors import RequestError
+from lunarsci.options import refuse_where
 from lunarsci.twin.jobs.requests import TrialsRequest
 
 from ..shared.command import command
@@ -107,12 +107,13 @@ def _check_prediction(inputs: list[str], request: TrialsRequest, save: Path | No
     """Raises RequestError for what does not belong to a prediction made before the drive."""
     from lunarsci.twin.jobs.compare_trials import OF_TRIALS
 
-    if len(inputs) != 2:
-        raise RequestError(f"{inputs[0]} is a prediction; give one file of measured states beside it")
-    if given := [name for name in OF_TRIALS if getattr(request, name) != getattr(TrialsRequest(), name)]:
-        raise RequestError(f"`{given[0]}` belongs to trials, and {inputs[0]} is a prediction; leave it out")
-    if (request.belief is None) != (save is None):
-        raise RequestError("`belief` FILE and `save` FILE belong together; give both, or neither")
+    given = [name for name in OF_TRIALS if getattr(request, name) != getattr(TrialsRequest(), name)]
+    refuse_where({
+        f"{inputs[0]} is a prediction; give one file of measured states beside it": len(inputs) != 2,
+        **{f"`{name}` belongs to trials, and {inputs[0]} is a prediction; leave it out": True for name in given},
+        "`belief` FILE and `save` FILE belong together; give both, or neither":
+            (request.belief is None) != (save is None),
+    })  # fmt: skip
 
 
 def _drive(inputs: list[str], request: TrialsRequest, save: Path | None) -> Report:
@@ -127,8 +128,9 @@ def _drive(inputs: list[str], request: TrialsRequest, save: Path | None) -> Repo
 def _trials(inputs: list[str], request: TrialsRequest, output: Output, save: Path | None) -> Report:
     from lunarsci.twin.jobs import compare_trials as job
 
-    if save is not None:
-        raise RequestError("`save` keeps what a belief learns from a prediction, not from trials; leave it out")
+    refuse_where({
+        "`save` keeps what a belief learns from a prediction, not from trials; leave it out": save is not None
+    })  # fmt: skip
     with progress("trials", quiet=output.quiet) as update:
         scored = job.compare_trials(inputs, request, progress=update)
     return Report(scored, trial_tables(scored))

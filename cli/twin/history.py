@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lunarsci.errors import RequestError
+from lunarsci.options import refuse_where
 from lunarsci.twin.jobs.requests import HistoryRequest
 
 from ..shared.command import command
@@ -62,8 +62,8 @@ def history(
     """
     from lunarsci.twin.jobs.history import history
 
-    if (request.rollback is None) != (save is None):
-        raise RequestError("`rollback` N and `save` FILE belong together; give both, or neither")
+    apart = (request.rollback is None) != (save is None)
+    refuse_where({"`rollback` N and `save` FILE belong together; give both, or neither": apart})
     output.check_extra("--save", save, (".json",))
     result = history(belief, request)
     back = result.rolled_back

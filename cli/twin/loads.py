@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lunarsci.errors import RequestError
+from lunarsci.options import refuse_where
 from lunarsci.twin.jobs.requests import LoadsRequest
 
 from ..shared.command import command
@@ -77,8 +77,8 @@ def loads(
     from lunarsci.twin.jobs import loads as job
     from lunarsci.twin.jobs.loads import MotionLoads
 
-    if save is not None and request.iterate is None:
-        raise RequestError("`save` takes the soil of `iterate`; give that, or leave it out")
+    no_soil = save is not None and request.iterate is None
+    refuse_where({"`save` takes the soil of `iterate`; give that, or leave it out": no_soil})
     output.check_extra("--save", save, (".json",))
     with progress("holding the rover to its motion", quiet=output.quiet) as update:
         result = job.loads(motion, plan, request, progress=update)

@@ -83,8 +83,7 @@ def plan(output: Output, request: PlanRequest, terrain: NamedTerrain = None, geo
     """
     from lunarsci.twin.jobs import plan as job
 
-    alone = request.risk is None and request.mission is None
-    check_files(output, soil=bool(request.soil) and alone, geotiff=geotiff)
+    check_files(output, soil=bool(request.soil) and request.purpose == "path", geotiff=geotiff)
     with progress("planning", quiet=output.quiet) as update:
         survey = job.plan(terrain, request, progress=update)
     return Report(survey, result_tables(survey), files=survey.files(geotiff=geotiff))
@@ -108,9 +107,10 @@ def _choice_table(survey: ChosenDrive) -> TextTable:
     stopped = sum(one.stopped for one in choice.candidates)
     verdict = f"take drive {best.number}, {best.plan.name}" if choice.feasible else "NO-GO: no drive keeps the risk"
     verdict = f"doubtful: {verdict}" if survey.soils.doubt else verdict
-    held = f"`twin predict` holds its plan.toml against the same risk, {100 * choice.risk:g} %, which the plan carries"
+    accepted = f"{100 * choice.risk.share:g} %"
+    held = f"`twin predict` holds its plan.toml against the same risk, {accepted}, which the plan carries"
     notes = [
-        *([survey.soils.doubt] if survey.soils.doubt else []),
+        *survey.soils.doubt.reasons,
         *([] if choice.feasible else [survey.what_next]),
         f"drive {best.number}: {100 * best.stated.risk:.1f} % fail, at most {100 * best.stated.high:.1f} %; it takes "
         f"{best.duration_s / 60:.1f} min; weakest at x {best.weakest.x_m:z.2f} m, y {best.weakest.y_m:z.2f} m: "
@@ -126,7 +126,7 @@ def _choice_table(survey: ChosenDrive) -> TextTable:
         *survey.notes(),
     ]
     headers = ["no", "drive", "risk %", "to %", "m", "J", "weakest", "at m"]
-    return TextTable(headers, rows, title=f"{verdict}; accepted: {100 * choice.risk:g} %", notes=notes)
+    return TextTable(headers, rows, title=f"{verdict}; accepted: {accepted}", notes=notes)
 
 
 def _candidate_row(one: DriveCandidate) -> list[str]:

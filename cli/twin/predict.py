@@ -35,6 +35,23 @@ EXAMPLES = (
     "lunarsci twin predict plan.toml --soil lunar-typical",
     "lunarsci twin predict plan.toml --sweep friction_angle_deg=30:50:3 \\\n  -o predicted",
 )
+NEXT = (
+    "what may help: what a drive teaches of the soil (`twin update`, with the track's depth), halts to be localised "
+    "(--fixes), or another way (`twin plan --risk`)"
+)
+HEADERS = (
+    "quantity (worst of each drive)",
+    "p50",
+    "{share} of drives",
+    "worst",
+    "limit",
+    "margin",
+    "unit",
+    "verdict",
+    "limit from",
+)
+QUANTITIES = {"sinkage_m": ("sinkage", "mm", 1e3)}
+"""Names, units and factors of quantities that tables show otherwise than files: sinkage in mm throughout."""
 
 
 @command("predict", EXAMPLES, OPTIONS, folder=True, blocks=SPREAD)
@@ -94,27 +111,6 @@ def _film(predicted: PredictedDrives, target: Path, quiet: bool) -> bytes:
         return predicted.film(target, update)
 
 
-NEXT = (
-    "what may help: what a drive teaches of the soil (`twin update`, with the track's depth), halts to be localised "
-    "(--fixes), or another way (`twin plan --risk`)"
-)
-HEADERS = (
-    "quantity (worst of each drive)",
-    "p50",
-    "{share} of drives",
-    "worst",
-    "limit",
-    "margin",
-    "unit",
-    "verdict",
-    "limit from",
-)
-
-
-QUANTITIES = {"sinkage_m": ("sinkage", "mm", 1e3)}
-"""Names, units and factors of quantities that tables show otherwise than files: sinkage in mm throughout."""
-
-
 def _verdict_tables(predicted: PredictedDrives) -> list[TextTable]:
     """The verdict for people: head line, limits, notes."""
     from lunarsci.regolith.columns import short_name
@@ -129,7 +125,7 @@ def _verdict_tables(predicted: PredictedDrives) -> list[TextTable]:
         f"{head}: {prediction.plan.name}; {drives} of {short_name(prediction.rover.name)} on {prediction.terrain.name}"
     )
     notes = [
-        *([predicted.soils.doubt] if predicted.soils.doubt else []),
+        *predicted.soils.doubt.reasons,
         *predicted.inputs.soil_notes(prediction.members, len(prediction.parameters)),
         *predicted.inputs.remarks,
         *_endpoint_notes(verdict),

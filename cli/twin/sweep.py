@@ -33,6 +33,10 @@ EXAMPLES = (
     "lunarsci twin sweep plan.toml --vary wheel.radius_m=0.13:0.17:2",
     "lunarsci twin sweep plan.toml --vary mass.body_kg=90:120:2 --csv",
 )
+HEADERS = (
+    "", "kept", "slip p95", "sinkage p95 [mm]", "work [J]", "time [s]", "bias [m]", "scatter [m]",
+    "pull/weight at 20 %", "climbs [deg]",
+)  # fmt: skip
 
 
 @command("sweep", EXAMPLES, OPTIONS)
@@ -50,12 +54,6 @@ def sweep(output: Output, request: SweepRequest, plans: Plans = None) -> Report:
     with progress("designs", quiet=output.quiet) as update:
         trade = job.sweep(plans, request, progress=update)
     return Report(trade, result_tables(trade))
-
-
-HEADERS = (
-    "", "kept", "slip p95", "sinkage p95 [mm]", "work [J]", "time [s]", "bias [m]", "scatter [m]",
-    "pull/weight at 20 %", "climbs [deg]",
-)  # fmt: skip
 
 
 def result_tables(trade: DesignTrade) -> list[TextTable]:

@@ -144,7 +144,7 @@ def _notes(learned: LearnedSoil) -> list[str]:
         f"{update.reduced:.2f}",
         f"surprise: the soil found lies {update.prior_shift:.2f} standard deviations from what was believed before "
         f"(about 1 or less as expected, above {SURPRISING:g} look whether it is the same ground)",
-        *learned.doubts,
+        *learned.doubts.reasons,
         *learned.before.cautions(update),
         *_slip_notes(learned),
     ]

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from lunarsci.provenance import installed_version
-from lunarsci.result import Result
+from lunarsci.result import Doubt, Result
 
 EXTRAS: Mapping[str, tuple[str, ...]] = {
     "cubes": ("rasterio", "xarray", "h5netcdf"),
@@ -53,8 +53,8 @@ class HealthReport(Result):
         return [f"{one.name}: {one.trouble}" for one in self.checks if one.trouble]
 
     @property
-    def untrusted(self) -> str:
-        return f"not to be trusted here: {'; '.join(self.trouble)}" if self.trouble else ""
+    def doubt(self) -> Doubt:
+        return Doubt.of(*self.trouble, verdict="not to be trusted here")
 
     def to_dict(self) -> dict[str, Any]:
         return {"checks": self.rows(), "trouble": len(self.trouble)}

@@ -30,7 +30,7 @@ from lunarsci.io.inputs import (
 from lunarsci.io.tables import separator_of
 from lunarsci.names import some_of
 from lunarsci.registry import FORMATS, KINDS, TAKEN_BY, WHEEL
-from lunarsci.result import MadeFrom, Result
+from lunarsci.result import Doubt, MadeFrom, Result
 from lunarsci.rovers import read_rover, rover_names
 from lunarsci.spectra.readers.arrangements import header_channels
 from lunarsci.spectra.readers.columns import is_wavelength
@@ -494,8 +494,8 @@ class FileInfo(Result):
         return MadeFrom(inputs={self.file: self.sha256})
 
     @property
-    def untrusted(self) -> str:
-        return f"not to be used as it is: {self.trouble}" if self.trouble else ""
+    def doubt(self) -> Doubt:
+        return Doubt.of(self.trouble, verdict="not to be used as it is")
 
     @property
     def title(self) -> str:

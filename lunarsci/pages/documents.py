@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.io.inputs import InputFile, read_input, read_json, text
 from lunarsci.provenance import sha256
-from lunarsci.result import Result
+from lunarsci.result import Doubt, Result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -235,7 +235,7 @@ def _soil_map(name: str, file: InputFile) -> Document:
     record = {
         "command": "lunarsci twin update --save-map",
         "inputs": [{"path": file.name, "sha256": file.sha256}],
-        "untrusted": "; ".join(doubts),
+        "untrusted": str(Doubt.of(*doubts)),
         "failures": [],
     }
     pictures = {one: content for one, content in pictures.items() if len(content) <= LARGEST_PICTURE}

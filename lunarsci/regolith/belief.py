@@ -256,17 +256,17 @@ class SoilBelief:
             points = self.mean + noise @ np.linalg.cholesky(self.covariance).T
         return self.samples(points)
 
-    def inflated(self, share: float) -> "SoilBelief":
-        """Prior inflation for ground further on: the belief gone `share` of the way back to the prior, 0 to 1.
+    def forgotten(self, share: float) -> "SoilBelief":
+        """For ground further on: the mixture of posterior and prior in which the prior has the weight `share`, 0 to 1.
 
-        Mean and covariance are those of the mixture of both; a population is given up. The discrepancy is forgotten
+        Mean and covariance are the mixture's; a population is given up. The discrepancy is forgotten
         alike. Raises ParameterError.
         """
         check_each("the share", {"forgotten": share}, {"forgotten": SHARE})
         first = first_belief(self.laws)
         off = self.mean - first.mean
         covariance = (1 - share) * self.covariance + share * first.covariance + share * (1 - share) * np.outer(off, off)
-        discrepancy = self.discrepancy.inflated(share)
+        discrepancy = self.discrepancy.forgotten(share)
         mean = self.mean - share * off
         return SoilBelief(self.laws, mean, covariance, self.history, verdict=self.verdict, discrepancy=discrepancy)
 

@@ -23,7 +23,7 @@ SHARED = ("sinkage_m", "drawbar_pull_n", "lateral_force_n")
 FEWEST_DEGREES, MOST_DEGREES = 2.5, 40.0
 """Of freedom: below 2 there is no variance, and drives on other ground are never all alike; assumed."""
 DEGREES = f"[{FEWEST_DEGREES}, {MOST_DEGREES}]"
-STATES_TO_WAY, STATES_WORTH = 0.6, 5.0
+WAY_TO_STATE_ERROR, STATE_DRIVES = 0.6, 5.0
 """See `FIRST`."""
 GRID, REACH = 41, 8.0
 """Points over the logarithm of a variance, and how many of its standard deviations they reach to either side."""
@@ -68,19 +68,19 @@ class VarianceLaw:
         density = -0.5 * self.degrees * (ln_variance + self.scale**2 * np.exp(-ln_variance))
         return ln_variance, density
 
-    def with_share(self, miss: float, other: float, size: float) -> "VarianceLaw":
+    def after_error(self, miss: float, other: float, size: float) -> "VarianceLaw":
         """After a drive that was off by `miss`, of which `other` is variance of other origin, for a size of 1."""
         ln_variance, density = self.grid()
         total = np.exp(ln_variance) * size**2 + other
         return _matched(ln_variance, np.exp(density - 0.5 * (np.log(total) + miss**2 / total)))
 
-    def with_size(self, share: float, drives: float) -> "VarianceLaw":
+    def after_drives(self, share: float, drives: float) -> "VarianceLaw":
         """After so many drives that were off by just this share; conjugate."""
         degrees = self.degrees + drives
         squared = (self.degrees * self.scale**2 + drives * share**2) / degrees
         return VarianceLaw(_within(degrees), math.sqrt(squared))
 
-    def inflated(self, share: float, first: "VarianceLaw") -> "VarianceLaw":
+    def forgotten(self, share: float, first: "VarianceLaw") -> "VarianceLaw":
         """So much of the way back to the prior, 0 to 1."""
         degrees, scale = ((1 - share) * a + share * b for a, b in zip(self._logs(), first._logs(), strict=True))
         return VarianceLaw(_within(math.exp(degrees)), math.exp(scale))
@@ -135,7 +135,7 @@ class PhysicsDiscrepancy:
         """Of an end whose way has the matrix `way_m2`, tails included. (2, 2) from (2, 2) [m2]"""
         return np.asarray(self.along.variance * way_m2 + self.across.variance * across_of(way_m2))
 
-    def with_miss(self, miss_m: FloatArray, other_m2: FloatArray, way_m2: FloatArray) -> "PhysicsDiscrepancy":
+    def after_end(self, miss_m: FloatArray, other_m2: FloatArray, way_m2: FloatArray) -> "PhysicsDiscrepancy":
         """After a drive whose end was missed.
 
         Parameters
@@ -155,26 +155,26 @@ class PhysicsDiscrepancy:
         weight = np.exp(ln_weight - ln_weight.max())
         return replace(self, along=_matched(one, weight.sum(axis=1)), across=_matched(other, weight.sum(axis=0)))
 
-    def with_states(self, unexplained: float) -> "PhysicsDiscrepancy":
+    def after_states(self, unexplained: float) -> "PhysicsDiscrepancy":
         """After a drive whose best soil leaves such a share of its wheel states unexplained, beside their errors.
 
         Where the states of a drive do not fit its best soil, the next drive misses by more: as measured, by 0.6 of that
         share, which counts as up to five drives. States that fit say nothing: the next drive goes where slopes are
         others, and what a law is off by there does not show here.
         """
-        missed = STATES_TO_WAY * unexplained
+        missed = WAY_TO_STATE_ERROR * unexplained
         along, across = (
-            law.with_size(math.hypot(law.scale, missed), STATES_WORTH * missed**2 / (missed**2 + law.scale**2))
+            law.after_drives(math.hypot(law.scale, missed), STATE_DRIVES * missed**2 / (missed**2 + law.scale**2))
             for law in (self.along, self.across)
         )
         return replace(self, along=along, across=across)
 
-    def with_quantity(self, name: str, miss: float, other: float, size: float) -> "PhysicsDiscrepancy":
+    def after_quantity(self, name: str, miss: float, other: float, size: float) -> "PhysicsDiscrepancy":
         """After a drive on which a quantity was off by `miss` in the mean, all in its unit; `other` is a variance."""
-        law = self.quantities[name].with_share(miss, other, size)
+        law = self.quantities[name].after_error(miss, other, size)
         return replace(self, quantities={**self.quantities, name: law})
 
-    def with_score(self, **score: Any) -> "PhysicsDiscrepancy":
+    def with_source(self, **score: Any) -> "PhysicsDiscrepancy":
         """With one more line of what it rests on."""
         return replace(self, scored=(*self.scored, score))
 
@@ -182,13 +182,13 @@ class PhysicsDiscrepancy:
         """Whether the drive with these states taught it already."""
         return any(entry.get("sha256") == sha256 for entry in self.scored)
 
-    def inflated(self, share: float) -> "PhysicsDiscrepancy":
+    def forgotten(self, share: float) -> "PhysicsDiscrepancy":
         """So much of the way back to the priors, 0 to 1. What it rests on stays, and counts no second time."""
         return replace(
             self,
-            along=self.along.inflated(share, FIRST.along),
-            across=self.across.inflated(share, FIRST.across),
-            quantities={name: law.inflated(share, FIRST.quantities[name]) for name, law in self.quantities.items()},
+            along=self.along.forgotten(share, FIRST.along),
+            across=self.across.forgotten(share, FIRST.across),
+            quantities={name: law.forgotten(share, FIRST.quantities[name]) for name, law in self.quantities.items()},
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -221,7 +221,7 @@ FIRST = PhysicsDiscrepancy(
     quantities={name: VarianceLaw(5.0, 0.1) for name in SHARED},
 )
 """Before any drive. The likelihood of 37 returns by a quasi-static rover, stress integrals and ruts, whose way out sent
-telemetry, is largest near these shares of the way, with `STATES_TO_WAY` and `STATES_WORTH` as they are
+telemetry, is largest near these shares of the way, with `WAY_TO_STATE_ERROR` and `STATE_DRIVES` as they are
 (`tests/benchmarks/loop.py --training --seed 97 --positions telemetry`: grounds and soils that no reported number is
 of). What contact angles and radius of the wheels may be is part of the soil's own spread. Those of wheel states are
 assumed."""

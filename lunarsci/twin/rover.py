@@ -22,6 +22,30 @@ from lunarsci.rovers import RoverDescription, read_rover
 
 SOLAR_CONSTANT_W_M2 = 1360.8
 """Power of sunlight through a square metre at 1 au: Kopp & Lean (2011), 10.1029/2010GL045777. [W/m2]"""
+PAIRS = ("front", "middle", "rear")
+BOGIES = ("rear", "front", "none")
+HUNG = {"rear": ("middle", "rear"), "front": ("front", "middle"), "none": ()}
+"""Pairs of wheels on the bogies, by where these are; the others are on the rockers."""
+FALLBACK_SLOPE_DEG = 15.0
+"""Steepest slope of a rover whose file has none: assumed, cautious for a rocker-bogie. [deg]"""
+DENSEST_KG_M3 = 22_600.0
+"""Osmium, 22.59 g/cm3: CRC Handbook of Chemistry and Physics, 97th ed., Haynes (2016). [kg/m3]"""
+BELLY_RADII = Law("ln", 2.1, 0.6, "1.5 to 2.4 of Lunokhod, MER, Curiosity and Yutu-2, 0.5 of RoSEy; width assumed")
+"""Height of the belly above level ground, in radii of the wheels; assumed."""
+AXLE_RADII = Law("ln", 4.0, 0.4, "2.5 to 6 of rovers that drove on the Moon and Mars; width assumed")
+"""From one axle to the next, in radii of the wheels; assumed."""
+LENGTH_UNITS = {"mm": 1e-3, "cm": 1e-2}
+"""In metres, by definition."""
+MASS_UNITS = {"g": 1e-3, "t": 1e3}
+"""In kilograms, by definition."""
+PLACES = "body_center_m front_wheel_m middle_wheel_m rear_wheel_m bogie_pivot_m"
+VECTORS = ("body_inertia_kg_m2", *PLACES.split())
+RANGES = {
+    POSITIVE: "body_kg wheel_kg body_inertia_kg_m2 rocker_pivot_y_m max_speed_m_s gravity_m_s2",
+    NOT_NEGATIVE: "joint_damping_n_m_s steering_offset_m",
+    FINITE: PLACES,
+    "(0, 90]": "max_slope_deg",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,31 +114,7 @@ class PowerSupply:
         return self.electronics_w if self.standby_w is None else self.standby_w
 
 
-PAIRS = ("front", "middle", "rear")
-BOGIES = ("rear", "front", "none")
-HUNG = {"rear": ("middle", "rear"), "front": ("front", "middle"), "none": ()}
-"""Pairs of wheels on the bogies, by where these are; the others are on the rockers."""
-FALLBACK_SLOPE_DEG = 15.0
-"""Steepest slope of a rover whose file has none: assumed, cautious for a rocker-bogie. [deg]"""
-DENSEST_KG_M3 = 22_600.0
-"""Osmium, 22.59 g/cm3: CRC Handbook of Chemistry and Physics, 97th ed., Haynes (2016). [kg/m3]"""
-BELLY_RADII = Law("ln", 2.1, 0.6, "1.5 to 2.4 of Lunokhod, MER, Curiosity and Yutu-2, 0.5 of RoSEy; width assumed")
-"""Height of the belly above level ground, in radii of the wheels; assumed."""
-AXLE_RADII = Law("ln", 4.0, 0.4, "2.5 to 6 of rovers that drove on the Moon and Mars; width assumed")
-"""From one axle to the next, in radii of the wheels; assumed."""
-LENGTH_UNITS = {"mm": 1e-3, "cm": 1e-2}
-"""In metres, by definition."""
-MASS_UNITS = {"g": 1e-3, "t": 1e3}
-"""In kilograms, by definition."""
 Vector3 = tuple[float, float, float]
-PLACES = "body_center_m front_wheel_m middle_wheel_m rear_wheel_m bogie_pivot_m"
-VECTORS = ("body_inertia_kg_m2", *PLACES.split())
-RANGES = {
-    POSITIVE: "body_kg wheel_kg body_inertia_kg_m2 rocker_pivot_y_m max_speed_m_s gravity_m_s2",
-    NOT_NEGATIVE: "joint_damping_n_m_s steering_offset_m",
-    FINITE: PLACES,
-    "(0, 90]": "max_slope_deg",
-}
 
 
 @dataclass(frozen=True, slots=True)

@@ -125,7 +125,7 @@ def made_belief(drives: int) -> Any:
     rng, belief = np.random.default_rng(0), first_belief()
     for number in range(drives):
         name = {"states": f"states{number}.csv", "sha256": f"{number:064x}"}
-        law = belief.discrepancy.with_score(**name, plan="SYNTHETIC", how="own end")
+        law = belief.discrepancy.with_source(**name, plan="SYNTHETIC", how="own end")
         off = 0.05 * rng.standard_normal(belief.mean.size) * np.sqrt(np.diag(belief.covariance))
         after = replace(belief, mean=belief.mean + off, covariance=0.999 * belief.covariance, discrepancy=law)
         drive = {**name, "plan": "SYNTHETIC", "values": 60, "outliers": 0, "chi_square": 55.0, "refused": ""}

@@ -148,7 +148,7 @@ def after_past_returns(rows: list[dict[str, Any]], past: int) -> list[dict[str, 
             if len(ends) < FEWEST_ENDS:
                 continue
             known = np.cov(ends.T) + np.array(other["place_m2"])
-            law = law.with_miss(np.array(other["place_m"]) - np.median(ends, axis=0), known, np.array(other["way_m2"]))
+            law = law.after_end(np.array(other["place_m"]) - np.median(ends, axis=0), known, np.array(other["way_m2"]))
         cloud = moved(np.array(row["soil_ends_m"]), law, np.array(row["way_m2"]), 11 + k)
         found.append(region(cloud, np.array(row["end_m"])))
     return found

@@ -13,6 +13,7 @@ import pytest
 from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.twin.jobs.plan import plan
 from lunarsci.twin.plans.plan import read_plan
+from lunarsci.twin.plans.risk import AcceptedRisk
 
 Run = Callable[..., Any]
 BASE = ("twin", "plan", "--target", "3,0.5", "--candidates", "6", "--members", "16", "-q", "--no-time")
@@ -52,7 +53,7 @@ def test_what_is_accepted_of_a_risk_is_accepted_by_the_prediction(run: Run, beli
     on = ("--terrain", chosen / "terrain.npz", "--soil", belief, "--members", "32", "--seed", "3", "-q")
     taken = run(*BASE, "--risk", "0.2", "--soil", belief, "-o", chosen)
     assert taken.code == 0 and "holds its plan.toml against the same risk, 20 %" in taken.out
-    assert read_plan(str(plan)).accepted_risk == 0.2
+    assert read_plan(str(plan)).accepted_risk == AcceptedRisk(0.2)
     # A tolerance that a tenth of the drives miss.
     run("twin", "predict", plan, *on, "-o", tmp_path / "once")
     ends = pd.read_csv(tmp_path / "once" / "endpoints.csv")

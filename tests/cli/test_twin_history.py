@@ -80,8 +80,8 @@ def test_a_warning_of_a_drive_stays_with_the_belief(run: Run, short_plan: Path, 
 
 def test_what_the_physics_is_off_by_and_what_taught_it(run: Run, files: tuple[Path, Path]) -> None:
     belief = read_belief(read_input(str(files[0])))
-    law = FIRST.with_miss(np.array([0.3, 0.0]), 1e-4 * np.eye(2), np.diag([1.0, 0.0]))
-    law = law.with_score(states="back.csv", sha256="c" * 64, how="comparison")
+    law = FIRST.after_end(np.array([0.3, 0.0]), 1e-4 * np.eye(2), np.diag([1.0, 0.0]))
+    law = law.with_source(states="back.csv", sha256="c" * 64, how="comparison")
     files[0].write_text(dataclasses.replace(belief, discrepancy=law).to_json())
     done = run("twin", "history", files[0], "--json")
     found = json.loads(done.out)["result"]

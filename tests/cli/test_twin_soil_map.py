@@ -51,7 +51,7 @@ def test_options_of_a_map_are_checked_before_anything_is_driven(run: Run, short_
     done = run(*update, "--correlation", 3)
     assert done.code == 2 and "--correlation is of a soil map" in " ".join(done.err)
     done = run(*update, "--soil", short_plan)
-    assert done.code == 1 and "not valid JSON" in done.err[0]
+    assert done.code == 1 and "no belief; give one of" in done.err[0]
     done = run("twin", "update", text, "--plan", short_plan, "--save-map", tmp_path / "m.txt")
     assert done.code == 2
     done = run("twin", "predict", short_plan, "--soil", short_plan)

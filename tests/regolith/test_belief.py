@@ -68,11 +68,11 @@ def test_a_population_is_drawn_from_without_loss(belief: SoilBelief) -> None:
 
 def test_forgetting_goes_from_the_belief_to_the_first_laws(belief: SoilBelief) -> None:
     first = first_belief()
-    assert np.array_equal(belief.inflated(0.0).mean, belief.mean)
-    all_gone = belief.inflated(1.0)
+    assert np.array_equal(belief.forgotten(0.0).mean, belief.mean)
+    all_gone = belief.forgotten(1.0)
     assert all_gone.mean == pytest.approx(first.mean) and all_gone.covariance == pytest.approx(first.covariance)
     # Half forgotten is the even mixture of both: its mean and covariance, from draws.
-    half, random = belief.inflated(0.5), np.random.default_rng(0)
+    half, random = belief.forgotten(0.5), np.random.default_rng(0)
     parts = [
         one.mean + random.standard_normal((200_000, 8)) @ np.linalg.cholesky(one.covariance).T
         for one in (belief, first)
@@ -81,7 +81,7 @@ def test_forgetting_goes_from_the_belief_to_the_first_laws(belief: SoilBelief) -
     assert half.mean == pytest.approx(mixture.mean(axis=0), abs=0.01)
     assert half.covariance == pytest.approx(np.cov(mixture.T), abs=0.02)
     with pytest.raises(ParameterError, match="give 0 to 1"):
-        belief.inflated(1.5)
+        belief.forgotten(1.5)
 
 
 def test_a_bad_file_is_one_line_that_names_it(belief: SoilBelief, tmp_path: Path) -> None:
@@ -157,7 +157,7 @@ def test_an_older_file_reads_and_says_what_it_did_not_keep(chain: list[SoilBelie
 def test_a_history_grows_by_the_same_for_every_drive_and_brings_back_what_each_rested_on() -> None:
     beliefs = [first_belief()]
     for number in range(60):
-        law = beliefs[-1].discrepancy.with_score(states=f"{number}.csv", sha256=f"{number:064x}")
+        law = beliefs[-1].discrepancy.with_source(states=f"{number}.csv", sha256=f"{number:064x}")
         after = dataclasses.replace(beliefs[-1], discrepancy=law)
         beliefs.append(with_drive(after, beliefs[-1], {"states": f"{number}.csv"}, parent_sha256="0" * 64))
     sizes = np.diff([len(belief.to_json()) for belief in beliefs[1:]])

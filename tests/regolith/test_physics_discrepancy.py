@@ -40,22 +40,22 @@ def test_draws_have_the_tails_of_student() -> None:
 
 def test_a_known_share_is_learned_as_the_conjugate_law_has_it() -> None:
     """With nothing else uncertain: degrees + 1, and a scale whose square is the mean of both, by degrees."""
-    law = VarianceLaw(5.0, 0.03).with_share(0.2, 0.0, 2.0)
+    law = VarianceLaw(5.0, 0.03).after_error(0.2, 0.0, 2.0)
     assert law.degrees == pytest.approx(6.0, rel=0.02)
     assert law.scale**2 == pytest.approx((5.0 * 0.03**2 + 0.1**2) / 6.0, rel=0.02)
 
 
 def test_a_miss_teaches_its_own_axis_and_noise_teaches_nothing() -> None:
     known = 1e-8 * np.eye(2)
-    wide = FIRST.with_miss(np.array([0.8, 0.0]), known, WAY_M2)
+    wide = FIRST.after_end(np.array([0.8, 0.0]), known, WAY_M2)
     assert wide.along.scale > 1.5 * FIRST.along.scale and wide.across.scale < FIRST.across.scale
-    narrow = FIRST.with_miss(np.array([0.0, 0.0]), known, WAY_M2)
+    narrow = FIRST.after_end(np.array([0.0, 0.0]), known, WAY_M2)
     assert narrow.along.scale < FIRST.along.scale and narrow.along.degrees > FIRST.along.degrees
-    blind = FIRST.with_miss(np.array([0.8, 0.0]), 1e4 * np.eye(2), WAY_M2)
+    blind = FIRST.after_end(np.array([0.8, 0.0]), 1e4 * np.eye(2), WAY_M2)
     assert blind.along.scale == pytest.approx(FIRST.along.scale, rel=0.02)
     assert blind.along.degrees == pytest.approx(FIRST.along.degrees, rel=0.05)
     # The track turned by 90 degrees: the same lesson.
-    turned = FIRST.with_miss(np.array([0.0, 0.8]), known, WAY_M2[::-1, ::-1])
+    turned = FIRST.after_end(np.array([0.0, 0.8]), known, WAY_M2[::-1, ::-1])
     assert turned.along.scale == pytest.approx(wide.along.scale)
 
 
@@ -63,15 +63,15 @@ def test_many_returns_find_the_true_size() -> None:
     law, random = FIRST, np.random.default_rng(3)
     for _ in range(60):
         miss = 2.0 * np.array([0.15, 0.01]) * random.standard_normal(2)
-        law = law.with_miss(miss, 1e-6 * np.eye(2), WAY_M2)
+        law = law.after_end(miss, 1e-6 * np.eye(2), WAY_M2)
     assert law.along.scale == pytest.approx(0.15, rel=0.25) and law.across.scale == pytest.approx(0.01, rel=0.25)
     assert law.along.degrees > 30
 
 
 def test_it_is_forgotten_with_the_ground_but_not_what_taught_it() -> None:
-    law = dataclasses.replace(FIRST, along=VarianceLaw(20.0, 0.3)).with_score(states="a.csv", sha256="a")
+    law = dataclasses.replace(FIRST, along=VarianceLaw(20.0, 0.3)).with_source(states="a.csv", sha256="a")
     belief = dataclasses.replace(first_belief(), discrepancy=law)
-    kept, half, gone = (belief.inflated(share).discrepancy for share in (0.0, 0.5, 1.0))
+    kept, half, gone = (belief.forgotten(share).discrepancy for share in (0.0, 0.5, 1.0))
     assert kept.along.scale == pytest.approx(0.3) and gone.along.scale == pytest.approx(FIRST.along.scale)
     assert FIRST.along.scale < half.along.scale < 0.3 and FIRST.along.degrees < half.along.degrees < 20.0
     assert gone.has_scored("a") and not gone.has_scored("b")
@@ -84,7 +84,7 @@ def test_it_goes_with_the_belief_through_its_file_and_history(tmp_path: Path) ->
         return read_belief(read_input(str(path)))
 
     first = first_belief()
-    law = FIRST.with_miss(np.array([0.5, 0.1]), 0.01 * np.eye(2), WAY_M2).with_score(states="a.csv", sha256="a" * 64)
+    law = FIRST.after_end(np.array([0.5, 0.1]), 0.01 * np.eye(2), WAY_M2).with_source(states="a.csv", sha256="a" * 64)
     learned = with_drive(dataclasses.replace(first, discrepancy=law), first, {"states": "a.csv"})
     other = with_drive(dataclasses.replace(learned, discrepancy=FIRST), learned, {"states": "b.csv"})
     back = read(other.to_json())

@@ -27,7 +27,7 @@ from lunarsci.images.pictures import Picture, read_picture
 from lunarsci.images.rig_files import camera_text, rig_text
 from lunarsci.io.inputs import InputFile
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import Doubt, MadeFrom, Result, job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -96,15 +96,15 @@ class CalibratedCameras(Result):
         return len(self.calibration.cameras) > 1 and is_swapped(self.calibration.translation_m)
 
     @property
-    def untrusted(self) -> str:
+    def doubt(self) -> Doubt:
         if self.calibration.residual_px > WORST_PX:
-            return (
+            return Doubt.of(
                 f"the board's points are off by {self.calibration.residual_px:.2g} px; is it flat, and its size right?"
             )
         if self.swapped:
-            return SWAPPED
+            return Doubt.of(SWAPPED)
         vital = [line for line in self.not_determined() if line.startswith(("focal", "baseline"))]
-        return f"these pictures do not determine the {vital[0]}" if vital else ""
+        return Doubt.of(f"these pictures do not determine the {vital[0]}" if vital else "")
 
     def to_dict(self) -> dict[str, Any]:
         fit = self.calibration

@@ -22,7 +22,7 @@ from lunarsci.io.documents import toml_document
 from lunarsci.io.inputs import InputFile, read_input, text
 from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Progress, Result, job
+from lunarsci.result import Doubt, MadeFrom, Progress, Result, job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -60,15 +60,15 @@ class LocatedStations(Result):
         return MadeFrom(inputs=self.inputs, sources=SOURCES)
 
     @property
-    def untrusted(self) -> str:
+    def doubt(self) -> Doubt:
         for number, station in enumerate(self.localised.stations):
             if not self.localised.tied[number]:
                 why = "; ".join(r.failure for r in self.localised.reports if r.second == number and r.failure)
-                return f"{station.name} is where dead reckoning puts it: {why}"
+                return Doubt.of(f"{station.name} is where dead reckoning puts it: {why}")
             if number and self.localised.off_sigmas(number) > ODD_SIGMAS:
                 off = self.localised.off_sigmas(number)
-                return f"{station.name} is {off:.0f} sigmas from its dead reckoning: one of them is wrong"
-        return ""
+                return Doubt.of(f"{station.name} is {off:.0f} sigmas from its dead reckoning: one of them is wrong")
+        return Doubt()
 
     def to_dict(self) -> dict[str, Any]:
         return {

@@ -20,7 +20,7 @@ from lunarsci.images.jobs.requests import MergeRequest
 from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import Doubt, MadeFrom, Result, job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -51,13 +51,15 @@ class MergedStations(Result):
         return MadeFrom(inputs=self.inputs, sources=SOURCES)
 
     @property
-    def untrusted(self) -> str:
+    def doubt(self) -> Doubt:
         bad = [pair for pair in self.merged.overlaps if pair.rms_z > ODD or pair.odd_share > SHARE]
         if not bad:
-            return ""
+            return Doubt()
         worst = max(bad, key=lambda pair: pair.rms_z)
         names = f"{self.names[worst.first]} and {self.names[worst.second]}"
-        return f"{names} disagree by {worst.rms_z:.2g} times their errors (rms), {worst.odd_share:.0%} beyond three"
+        return Doubt.of(
+            f"{names} disagree by {worst.rms_z:.2g} times their errors (rms), {worst.odd_share:.0%} beyond three"
+        )
 
     def to_dict(self) -> dict[str, Any]:
         return {

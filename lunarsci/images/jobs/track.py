@@ -13,7 +13,7 @@ from lunarsci.images.tracks import TrackDepths, read_line, track_depths
 from lunarsci.io.inputs import read_input
 from lunarsci.options import request_of
 from lunarsci.provenance import sha256
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import Doubt, MadeFrom, Result, job
 from lunarsci.rovers import read_rover
 
 if TYPE_CHECKING:
@@ -50,15 +50,15 @@ class TrackSinkage(Result):
         return MadeFrom(inputs=self.inputs, tables=self.tables, sources=SOURCES)
 
     @property
-    def untrusted(self) -> str:
+    def doubt(self) -> Doubt:
         depths = self.depths
         if not depths.determined.any():
-            return f"no depth is determined: {depths.reason[0]}"
+            return Doubt.of(f"no depth is determined: {depths.reason[0]}")
         if not np.isfinite(depths.rut_m_random[depths.determined]).all() or not self._errors_stated:
-            return (
+            return Doubt.of(
                 "the random errors are lower bounds: the elevation model states none and there is no ground to try on"
             )
-        return ""
+        return Doubt()
 
     @property
     def _errors_stated(self) -> bool:

@@ -29,7 +29,7 @@ from lunarsci.regolith.jobs.requests import IdentifyRequest
 from lunarsci.regolith.prior import Question
 from lunarsci.regolith.states import MeasurementErrors, WheelStates, read_states
 from lunarsci.regolith.wheel import PAPER, Wheel, left_to_defaults, read_wheel
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import NOT_TO_BE_TRUSTED, Doubt, MadeFrom, Result, job
 from lunarsci.rovers import DEFAULT_ROVER, RoverDescription, called, read_rover
 
 if TYPE_CHECKING:
@@ -176,8 +176,8 @@ class IdentifiedSoil(Result):
         return [made for name, estimates in listed if (made := agreement(name, estimates, self.slip))]
 
     @property
-    def untrusted(self) -> str:
-        reasons = [*map(str, self.questions)]
+    def doubt(self) -> Doubt:
+        reasons: list[object] = [*self.questions]
         reasons += [
             f"no {LABELS[name]}: {self.identification.site[name].reason}" for name in self.identification.unsolved
         ]
@@ -187,7 +187,7 @@ class IdentifiedSoil(Result):
                 f"the states contradict each other ({'; '.join(against)}): check the wheel, {self.rover}, or "
                 "use `lunarsci regolith infer`, whose N rises with slip"
             )
-        return f"not to be trusted: {'; '.join(reasons)}" if reasons else ""
+        return Doubt.of(*reasons, verdict=NOT_TO_BE_TRUSTED)
 
     def to_dict(self) -> dict[str, Any]:
         shares = {} if self.shares is None else {"sensitivity": [asdict(share) for share in self.shares]}

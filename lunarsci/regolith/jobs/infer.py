@@ -20,7 +20,7 @@ from lunarsci.regolith.jobs.identify import IdentifiedSoil, StatesOfWheel, assum
 from lunarsci.regolith.jobs.requests import InferRequest
 from lunarsci.regolith.prior import prior_hash, read_prior
 from lunarsci.regolith.wheel import ContactModel, read_wheel
-from lunarsci.result import job
+from lunarsci.result import NOT_TO_BE_TRUSTED, Doubt, job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -57,9 +57,9 @@ class InferredSoil(IdentifiedSoil):
         return taken | {"shear_modulus_mm": self.identification.assumptions.shear_modulus_mm}
 
     @property
-    def untrusted(self) -> str:
+    def doubt(self) -> Doubt:
         verdict = self.posterior.verdict
-        return "" if verdict.trusted else f"not to be trusted: {verdict.reason}"
+        return Doubt.of("" if verdict.trusted else verdict.reason, verdict=NOT_TO_BE_TRUSTED)
 
     def to_dict(self) -> dict[str, Any]:
         joint = self.posterior.to_dict() | {

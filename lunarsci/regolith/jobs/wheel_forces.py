@@ -18,7 +18,7 @@ from lunarsci.regolith.jobs.requests import WheelForcesRequest
 from lunarsci.regolith.soil import Soil, read_soil, soil_hash, warn_of_unusual
 from lunarsci.regolith.traction import LoadedState, LoadedWheel, Traction, traction
 from lunarsci.regolith.wheel import MAX_VALID_SLIP, PAPER, ContactModel, Wheel, read_wheel
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import NOT_TO_BE_TRUSTED, Doubt, MadeFrom, Result, job
 from lunarsci.rovers import read_rover
 
 if TYPE_CHECKING:
@@ -116,12 +116,13 @@ class ForcesOnWheel(Result):
         return self.origin
 
     @property
-    def untrusted(self) -> str:
+    def doubt(self) -> Doubt:
         if 0 <= self.cohesion_share <= MOST_COHESION:
-            return ""
-        return (
-            f"not to be trusted: cohesion alone would pull {self.cohesion_share:.3g} times what presses the wheel, as "
-            "the contact is nearly without load; give a deeper sinkage, or less cohesion"
+            return Doubt()
+        return Doubt.of(
+            f"cohesion alone would pull {self.cohesion_share:.3g} times what presses the wheel, as the contact is "
+            "nearly without load; give a deeper sinkage, or less cohesion",
+            verdict=NOT_TO_BE_TRUSTED,
         )
 
     def to_dict(self) -> dict[str, Any]:

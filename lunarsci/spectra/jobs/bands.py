@@ -12,7 +12,7 @@ from lunarsci.io.records import BLOCK_THINGS, Records, RecordsInBlocks, Where, i
 from lunarsci.io.tables import table_hashes
 from lunarsci.names import some_of
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import Doubt, MadeFrom, Result, job
 from lunarsci.spectra.band_status import BANDS, NOTE, STATUS, TOO_NARROW
 from lunarsci.spectra.bands import BandsOfSpectra, SpectrumBands, measure_batch
 from lunarsci.spectra.chemistry.bands import KEYS, chemistries, plane_pages
@@ -106,10 +106,12 @@ class MeasuredBands(Result):
         return [item for item in self.measured if isinstance(item, SpectrumBands)]
 
     @property
-    def untrusted(self) -> str:
+    def doubt(self) -> Doubt:
         narrow = self.measured.arrays.codes[:, -1, STATUS] == TOO_NARROW
         named = some_of([self.batch.spectra.ids[place] for place in narrow.nonzero()[0]], MOST_NAMED)
-        return f"a narrow absorption, no pyroxene's, is what there is at 2 µm in {named}" if narrow.any() else ""
+        return Doubt.of(
+            f"a narrow absorption, no pyroxene's, is what there is at 2 µm in {named}" if narrow.any() else ""
+        )
 
     def to_dict(self) -> dict[str, Any]:
         return self.batch.remarks | {"spectra": self.content()["spectra"].tolist()}

@@ -10,7 +10,7 @@ from lunarsci.errors import BatchError, DataError, Failure, NoFilesError, Parame
 from lunarsci.io.inputs import InputFile, expand_inputs, read_input
 from lunarsci.io.tables import table_hashes
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Progress, Result, job
+from lunarsci.result import Doubt, MadeFrom, Progress, Result, job
 from lunarsci.spectra.jobs.requests import CalibrateRequest
 from lunarsci.spectra.photometry import PHASE_FUNCTIONS, phase_function, read_phase_function
 from lunarsci.spectra.readers.solar_table import read_solar_spectrum
@@ -80,13 +80,13 @@ class Calibrations(Result):
         )
 
     @property
-    def untrusted(self) -> str:
+    def doubt(self) -> Doubt:
         """The first doubt, and how many observations have any."""
         doubtful = [item for item in self.observations if item.doubts]
         if not doubtful:
-            return ""
+            return Doubt()
         more = f" (and {len(doubtful) - 1} more observations)" if len(doubtful) > 1 else ""
-        return f"{doubtful[0].id}: {doubtful[0].doubts[0]}{more}"
+        return Doubt.of(f"{doubtful[0].id}: {doubtful[0].doubts[0]}{more}")
 
     @property
     def failures(self) -> Sequence[Failure]:

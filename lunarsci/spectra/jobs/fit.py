@@ -11,7 +11,7 @@ from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.io.records import Records, in_blocks
 from lunarsci.io.tables import table_hashes
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Progress, Result, job
+from lunarsci.result import NOT_TO_BE_TRUSTED, Doubt, MadeFrom, Progress, Result, job
 from lunarsci.spectra.abundance.kinds import TABLE as KINDS
 from lunarsci.spectra.abundance.nbsr import TABLE, PyroxeneAbundances, nbsr_abundances
 from lunarsci.spectra.abundance.result import Abundance
@@ -96,9 +96,8 @@ class MgmFits(Result):
         return [*TABLES, TABLE, KINDS], [MGM, NBSR]
 
     @property
-    def untrusted(self) -> str:
-        doubts = doubts_about(self.fits, self.choices)
-        return f"not to be trusted: {'; '.join(doubts)}" if doubts else ""
+    def doubt(self) -> Doubt:
+        return Doubt.of(*doubts_about(self.fits, self.choices), verdict=NOT_TO_BE_TRUSTED)
 
     def content(self) -> dict[str, Any]:
         return {**self.batch.remarks, "spectra": self.records}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, LunarSciWarning
 from lunarsci.io.inputs import read_input
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Result
+from lunarsci.result import Doubt, MadeFrom, Result
 from lunarsci.spectra.jobs.requests import ImportRequest
 from lunarsci.spectra.readers.batch import expanded
 from lunarsci.spectra.readers.library import (
@@ -94,9 +94,9 @@ class CheckedLibrary(Result):
         return self.library.failures
 
     @property
-    def untrusted(self) -> str:
+    def doubt(self) -> Doubt:
         bad = [record["id"] for record in self.to_dict()["end_members"] if record["must_mend"]]
-        return f"not fit for use: mend {_counted(bad, 'end members')}" if bad else ""
+        return Doubt.of(f"mend {_counted(bad, 'end members')}" if bad else "", verdict="not fit for use")
 
     def to_dict(self) -> dict[str, Any]:
         records = [

@@ -15,7 +15,7 @@ from lunarsci.io.tables import table_hashes
 from lunarsci.options import request_of
 from lunarsci.parallel.blocks import blocks_in_order, rows_in_memory
 from lunarsci.provenance import Provenance
-from lunarsci.result import MadeFrom, Progress, Result
+from lunarsci.result import NOT_TO_BE_TRUSTED, Doubt, MadeFrom, Progress, Result
 from lunarsci.spectra.cubes.cube import FLAGS, Cube, Stated
 from lunarsci.spectra.cubes.output import (
     PIXEL_FLAGS,
@@ -70,10 +70,10 @@ class CubeMap(Result):
         return made_from(self.made.cube, self.products)
 
     @property
-    def untrusted(self) -> str:
+    def doubt(self) -> Doubt:
         if self.counts["pixels"] > self.counts["no_data"]:
-            return ""
-        return "not to be trusted: no pixel of the region has a channel that can be used"
+            return Doubt()
+        return Doubt.of("no pixel of the region has a channel that can be used", verdict=NOT_TO_BE_TRUSTED)
 
     def to_dict(self) -> dict[str, Any]:
         return {

@@ -13,7 +13,7 @@ from lunarsci.io.records import Records, RecordsInBlocks, in_blocks
 from lunarsci.io.tables import table_hashes
 from lunarsci.names import some_of
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Progress, Result, job
+from lunarsci.result import NOT_TO_BE_TRUSTED, Doubt, MadeFrom, Progress, Result, job
 from lunarsci.spectra.jobs.requests import MatchRequest
 from lunarsci.spectra.origin.catalogue import (
     TABLE,
@@ -112,10 +112,11 @@ class Matches(Result):
         return self.unread
 
     @property
-    def untrusted(self) -> str:
+    def doubt(self) -> Doubt:
         pairs = zip(self.matches.rocks, self.matches.decided.tolist(), strict=True)
         left = [rock.id for rock, decided in pairs if not decided]
-        return f"not to be trusted: the crater is not decided for {some_of(left, NAMED)}" if left else ""
+        undecided = f"the crater is not decided for {some_of(left, NAMED)}" if left else ""
+        return Doubt.of(undecided, verdict=NOT_TO_BE_TRUSTED)
 
     def content(self) -> dict[str, Any]:
         return {

@@ -15,7 +15,7 @@ from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.io.tables import table_hashes
 from lunarsci.names import some_of
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Progress, Result, job
+from lunarsci.result import Doubt, MadeFrom, Progress, Result, job
 from lunarsci.spectra.abundance.end_members import FAMILY_OF, NEEDED_NM, OPAQUE, StatedModes, reaches, read_modes
 from lunarsci.spectra.abundance.end_members import TABLE as END_MEMBERS
 from lunarsci.spectra.abundance.estimate import estimate_series
@@ -102,14 +102,14 @@ class UnmixedSpectra(Result):
         )
 
     @property
-    def untrusted(self) -> str:
+    def doubt(self) -> Doubt:
         names: dict[str, list[str]] = {}
         for result in self.shares:
             if not result.determined:
                 names.setdefault(result.status.removeprefix("not determined: "), []).append(result.id)
-        return "; ".join(
+        return Doubt.of(*(
             f"shares of {some_of(ids, MOST_NAMED)} are not determined: {reason}" for reason, ids in names.items()
-        )
+        ))  # fmt: skip
 
     def content(self) -> dict[str, Any]:
         return {**self.batch.remarks, "spectra": self.records}

@@ -29,7 +29,7 @@ from lunarsci.spectra.mgm.forward import energies_of, force_of, residuals
 from lunarsci.spectra.mgm.model import MgmModel, unit_of
 from lunarsci.spectra.mgm.result import REACH_NM, MgmFit, pyroxene_pair
 from lunarsci.spectra.spectrum import reaches_over
-from lunarsci.tempering import Moves, carry, forget
+from lunarsci.tempering import Moves, carry, mutate
 
 WANTED_ACCEPTANCE, TUNING = 0.75, 1.0
 FIRST_STEP, LEAST_STEP, MOST_STEP = 0.3, 1e-3, 0.7
@@ -251,7 +251,7 @@ def run_population(
         if step.beta < PARTED:
             ancestors[:] = np.arange(count)
     population.settling = True
-    report[1] += forget(population, 1.0, SETTLING)[0]
+    report[1] += mutate(population, 1.0, SETTLING)[0]
     population.settling = False
     for r in range(draws.shape[0]):
         population.move(1.0)

@@ -24,18 +24,51 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import BoolArray, FloatArray, IndexArray
+from lunarsci.arrays import SIGNIFICANCE, BoolArray, FloatArray, IndexArray
 from lunarsci.regolith.prior import PARAMETERS
-from lunarsci.tempering import ACCEPTED, WALK, Moves, forget, largest_power, weights
+from lunarsci.tempering import ACCEPTED, WALK, Moves, largest_power, mutate, weights
 from lunarsci.twin.assimilation.residuals import HUBER, OBSERVED, POSITION, DriveResiduals, cost_of, robust_cost
 
 BATCH = 8
 """Values of one wheel that are averaged; assumed longer than what sensors remember, shorter than a drive."""
-CHANCE = 0.01
-"""Of a false alarm of a test of an update: that a variance as large comes from the errors alone, below which these are
-widened, and that a soil changes; assumed."""
 MEDIAN_VARIANCE = np.pi / 2
 """Of the median of n normal values, times n over theirs."""
+PRESSURE_PA = 5000.0
+"""Mean pressure below a wheel about which coordinates are straight, near the 4 kPa of Ding et al. (2024),
+10.1038/s41467-024-46233-8; no posterior depends on it."""
+STIFFNESS, EXPONENT, COHESION, FRICTION = (
+    PARAMETERS.index(name) for name in ("stiffness_kpa_m_n", "sinkage_exponent", "cohesion_pa", "friction_angle_deg")
+)
+SHALLOW_M = 1e-4
+"""Least typical sinkage: the coordinates need its logarithm."""
+STARTS, DESCENTS, STEPS = 64, 4, 16
+"""Soils looked at first, how many of them are followed down, and for how many steps at most."""
+DAMPINGS = (1e-3, 1e-1, 1.0, 10.0, 100.0)
+WIDTH = 0.03
+"""Of finite differences, in widths of the prior: above the noise of interpolated states, below curvature."""
+LONGEST = 1.0
+"""Step, in widths of the prior."""
+CONVERGED, BEHIND = 0.1, 60.0
+"""Fall of the cost that counts as none; how far behind the best a descent is given up after a few steps."""
+PATIENCE = 3
+SPARE, MOST_SHARED = 1.5, 0.9
+"""Effective number of drives for each coefficient of the fit, at least, but for this share of all drives. A worse fit
+is accepted less often, and changes no law of the draws."""
+RIDGE = 1e-8
+FIRST, EACH, ROUNDS = 192, 128, 4
+"""Drives of the first round and of each later one, and rounds at most."""
+GOOD = 0.3
+"""Standard deviation of the emulator's ln density, at new draws, below which it is trained enough."""
+FREEDOM = 6.0
+"""Degrees of freedom of the Student law of the first round: tails heavier than a posterior's."""
+CHAIN, TUNED = 600, 200
+"""Steps of a chain on the emulator, of which so many tune it."""
+DIFFERENT = 0.25
+"""Effective number of drives that chains begin at, as a share of the chains or the drives."""
+PROPOSALS = Moves(3, 12, 0.1)
+"""Proposals to the population."""
+TOGETHER = 512
+"""Chains that walk side by side, so that few particles cost no more steps than many."""
 
 
 def wheel_errors(drive: DriveResiduals, residuals: FloatArray) -> dict[str, float]:
@@ -56,7 +89,7 @@ def wheel_errors(drive: DriveResiduals, residuals: FloatArray) -> dict[str, floa
         noise = np.array([MEDIAN_VARIANCE / part.size for part in parts])
         weight = 1.0 / noise
         excess = (weight * (medians - np.average(medians, weights=weight)) ** 2).sum() - (len(parts) - 1)
-        if excess + len(parts) - 1 > chdtri(len(parts) - 1, CHANCE):
+        if excess + len(parts) - 1 > chdtri(len(parts) - 1, SIGNIFICANCE):
             result[name] = float(np.sqrt(excess / (weight.sum() - (weight**2).sum() / weight.sum())))
     return result
 
@@ -86,7 +119,7 @@ def inflation_of(drive: DriveResiduals, residuals: FloatArray, places: FloatArra
         if means.size < 2:
             continue
         variance = float((means**2).mean())
-        if variance > chdtri(means.size, CHANCE) / means.size:
+        if variance > chdtri(means.size, SIGNIFICANCE) / means.size:
             result[name] = float(np.sqrt(variance))
     return result
 
@@ -95,13 +128,6 @@ def _by_wheel(drive: DriveResiduals, values: FloatArray, k: int) -> list[FloatAr
     counted, wheels = drive.counted[:, k], np.array(drive.record.wheel)
     parts = [values[counted & (wheels == name)] for name in dict.fromkeys(drive.record.wheel)]
     return [part for part in parts if part.size]
-
-
-PRESSURE_PA = 5000.0
-"""Mean pressure below a wheel; assumed, near the 4 kPa of Ding et al. (2024), 10.1038/s41467-024-46233-8."""
-STIFFNESS, EXPONENT, COHESION, FRICTION = (
-    PARAMETERS.index(name) for name in ("stiffness_kpa_m_n", "sinkage_exponent", "cohesion_pa", "friction_angle_deg")
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,10 +168,6 @@ class SoilCoordinates:
         frictional = PRESSURE_PA * np.exp(transforms[..., FRICTION])
         strength = np.exp(transforms[..., COHESION]) + frictional
         return np.asarray(np.log(strength / frictional) - transforms[..., EXPONENT])
-
-
-SHALLOW_M = 1e-4
-"""Least typical sinkage: the coordinates need its logarithm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -212,18 +234,6 @@ def posterior_of(drive: DriveResiduals) -> DrivePosterior:
     typical = float(np.median(sinkage)) if sinkage.size else 0.01
     root = np.asarray(np.linalg.cholesky(drive.belief.covariance), dtype=np.float64)
     return DrivePosterior(drive, SoilCoordinates(max(typical, SHALLOW_M)), root)
-
-
-STARTS, DESCENTS, STEPS = 64, 4, 16
-"""Soils looked at first, how many of them are followed down, and for how many steps at most."""
-DAMPINGS = (1e-3, 1e-1, 1.0, 10.0, 100.0)
-WIDTH = 0.03
-"""Of finite differences, in widths of the prior: above the noise of interpolated states, below curvature."""
-LONGEST = 1.0
-"""Step, in widths of the prior."""
-CONVERGED, BEHIND = 0.1, 60.0
-"""Fall of the cost that counts as none; how far behind the best a descent is given up after a few steps."""
-PATIENCE = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -347,12 +357,6 @@ def _best_trials(
     return looked.part(len(DAMPINGS) * np.arange(len(points)) + best)
 
 
-SPARE, MOST_SHARED = 1.5, 0.9
-"""Effective number of drives for each coefficient of the fit, at least, but for this share of all drives. A worse fit
-is accepted less often, and changes no law of the draws."""
-RIDGE = 1e-8
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Emulator:
     """Cost of a drive as q^T A q, with q the monomials 1, v_i, v_i v_j of scaled coordinates v.
@@ -400,22 +404,6 @@ def fit_emulator(
     matrix[np.diag_indices(len(matrix))] *= 1.0 + RIDGE
     coefficients = np.linalg.solve(matrix, weighted.T @ (weight * rows))
     return Emulator(center, inverse, coefficients @ coefficients.T)
-
-
-FIRST, EACH, ROUNDS = 192, 128, 4
-"""Drives of the first round and of each later one, and rounds at most."""
-GOOD = 0.3
-"""Standard deviation of the emulator's ln density, at new draws, below which it is trained enough."""
-FREEDOM = 6.0
-"""Degrees of freedom of the Student law of the first round: tails heavier than a posterior's."""
-CHAIN, TUNED = 600, 200
-"""Steps of a chain on the emulator, of which so many tune it."""
-DIFFERENT = 0.25
-"""Effective number of drives that chains begin at, as a share of the chains or the drives."""
-PROPOSALS = Moves(3, 12, 0.1)
-"""Proposals to the population."""
-TOGETHER = 512
-"""Chains that walk side by side, so that few particles cost no more steps than many."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -473,7 +461,7 @@ def draw_particles(
             break
     emulated = _Emulated(posterior, drives, mode, root)
     population = _Proposed(posterior, emulated, drives, particles, random)
-    _, left = forget(population, 1.0, PROPOSALS, lambda done: report(ROUNDS + done, total))
+    _, left = mutate(population, 1.0, PROPOSALS, lambda done: report(ROUNDS + done, total))
     report(total, total)
     arrived = np.flatnonzero(np.isfinite(population.excess))
     return population.points[arrived[np.arange(particles) % len(arrived)]], left

@@ -5,11 +5,8 @@ two soils, before and after it, are fitted to the residuals by least squares wit
 the statistic is how much more they explain than one (the likelihood ratio of a change at an unknown place: Andrews
 1993, Econometrica 61, 821, 10.2307/2951764; Csorgo & Horvath 1997, Limit Theorems in Change-Point Analysis, Wiley).
 Its largest value over all places is held against those of simulated drives over one soil, whose noise is as large and
-as correlated along the way as what two soils leave.
-
-A drive as a line: where along the way each wheel stood, and residuals averaged over short pieces of the way.
-
-Zones of one soil along a drive: where it changes, and what each part of the drive says of its own soil.
+as correlated along the way as what two soils leave. Residuals are averaged over short pieces of the way, along which it
+is known where each wheel stood.
 
 A drive in which a change is found is cut in two, the soil of each part is found, and each part is searched in turn
 (binary segmentation: Vostrikova 1981, Soviet Math. Dokl. 24, 55), as long as there are changes.
@@ -23,12 +20,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.errors import ParameterError
+from lunarsci.arrays import SIGNIFICANCE, BoolArray, FloatArray
+from lunarsci.ranges import check_range
 from lunarsci.regolith.belief import SoilBelief, effective_rows
 from lunarsci.regolith.prior import PARAMETERS
-from lunarsci.twin.assimilation.posterior import CHANCE
-from lunarsci.twin.assimilation.residuals import HUBER, MODEL_ERRORS, OBSERVED, DriveRecord, states_at
+from lunarsci.twin.assimilation.residuals import HUBER, MODEL_ERRORS, OBSERVED, SAMPLE_M, DriveRecord, states_at
 from lunarsci.twin.assimilation.update import SlipLean, SoilUpdate, assimilate
 from lunarsci.twin.ground.soil_map import SoilMap
 from lunarsci.twin.ground.terrain import Terrain
@@ -37,8 +33,37 @@ from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import LONGEST_SAMPLE_M, LONGEST_STEP_S, Prediction, predict
 
-BIN_M, MOST_BINS = 0.2, 200
-"""Length of way over which residuals are averaged, longer where the drive has more pieces; assumed."""
+BIN_M, MOST_BINS = 2.0 * SAMPLE_M, 200
+"""Length of way over which residuals are averaged: two samples of a drive, between which states are interpolated;
+longer where the drive has more pieces, whose covariance takes their number squared."""
+FEWEST_BINS = 4
+"""On either side of a change; assumed."""
+SIMULATIONS = 999
+MODEL_M = 3.0
+"""Way over which errors of the twin itself are alike, such as an arc's; assumed. [m]"""
+MOST_CORRELATED = 0.95
+"""Correlation of neighbouring bins that is reckoned with at most: what is left of a mean must not vanish; assumed."""
+MARGIN = 1.0
+"""Standard errors by which noise counts as more correlated than it was found: the p-value is that of an unkind case
+within the uncertainty, as in Berger & Boos (1994), J. Am. Stat. Assoc. 89, 1012."""
+NUDGE = 0.1
+"""Widths of the first laws by which soils are moved to either side for derivatives."""
+WITHIN_95 = 7.35
+"""Fall of the statistic from its top within which the place lies, at 95 %: Hansen (2000), Econometrica 68, 575,
+10.1111/1468-0262.00124."""
+FALSE_ALARMS = SIGNIFICANCE
+"""Wanted share of drives over one soil in which a change is found; 0.05 at most where the twin is off by its errors."""
+MODEL_SHARE = 2.0
+"""Of `MODEL_ERRORS`, which are those of single values, by which the twin may be off over metres of way; assumed, and
+enough for what is left of the time step's errors."""
+FINER = 0.25
+"""Of the time step."""
+MOST_SEGMENTS = 16
+FEWEST_VALUES = 2 * len(PARAMETERS)
+"""Of a stretch whose soil is learned, and whose median slip is judged: as many are left to judge it by as it takes.
+With fewer it stays as believed."""
+NAMED = 1.0
+"""Steps of a measured quantity that are named, in its errors; assumed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,18 +199,6 @@ def binned(places: FloatArray, values: FloatArray, slopes: FloatArray, model: Fl
     return TrackBins(middle[full], tuple(OBSERVED[k] for k in columns), mean, weight[full], slope, model[columns])
 
 
-FEWEST_BINS = 4
-"""On either side of a change; assumed."""
-SIMULATIONS = 999
-MODEL_M = 3.0
-"""Way over which errors of the twin itself are alike, such as an arc's; assumed. [m]"""
-MOST_CORRELATED = 0.95
-"""Correlation of neighbouring bins that is reckoned with at most: what is left of a mean must not vanish; assumed."""
-MARGIN = 1.0
-"""Standard errors by which noise counts as more correlated than it was found: the p-value is that of an unkind case
-within the uncertainty, as in Berger & Boos (1994), J. Am. Stat. Assoc. 89, 1012."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class ChangePoint:
     """The most likely change: where, p-value, places tried and how much more two soils explain there. (k,), (k,)"""
@@ -293,25 +306,6 @@ def _noise(bins: TrackBins, rest: FloatArray, fitted: float) -> tuple[FloatArray
     return np.maximum(sigma, 1.0), np.clip(lag, 0.0, MOST_CORRELATED)
 
 
-NUDGE = 0.1
-"""Widths of the first laws by which soils are moved for derivatives; assumed."""
-WITHIN_95 = 7.35
-"""Fall of the statistic from its top within which the place lies, at 95 %: Hansen (2000), Econometrica 68, 575,
-10.1111/1468-0262.00124."""
-FALSE_ALARMS = CHANCE
-"""Wanted share of drives over one soil in which a change is found; 0.05 at most where the twin is off by its errors."""
-MODEL_SHARE = 2.0
-"""Of `MODEL_ERRORS`, which are those of single values, by which the twin may be off over metres of way; assumed, and
-enough for what is left of the time step's errors."""
-FINER = 0.25
-"""Of the time step."""
-MOST_SEGMENTS = 16
-FEWEST_VALUES = 2 * len(PARAMETERS)
-"""Of a stretch whose soil is learned, and whose median slip is judged, assumed; with fewer it stays as believed."""
-NAMED = 1.0
-"""Steps of a measured quantity that are named, in its errors; assumed."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SoilChange:
     """A place of the way from which on the soil is another.
@@ -365,8 +359,7 @@ def find_change(
     A change within 0.8 m of either end is not looked for. Errors of the terrain, too, can look like another soil.
     Raises ParameterError.
     """
-    if not 0.001 <= false_alarms <= 0.5:
-        raise ParameterError(f"the share of false alarms is {false_alarms:g}; give 0.001 to 0.5")
+    check_range("false_alarms", false_alarms, "[0.001, 0.5]")
     way = traverse_of(update.prediction)
     floor = np.array([MODEL_ERRORS[name] for name in OBSERVED])
     sigma = np.where(np.isfinite(update.residuals), np.hypot(record.sigmas, floor), np.nan)
@@ -499,7 +492,7 @@ def drive_segments(
     update: SoilUpdate,
     soil_map: SoilMap,
     *,
-    forget: float = 0.0,
+    forgotten: float = 0.0,
     particles: int,
     seed: int = 0,
     false_alarms: float = FALSE_ALARMS,
@@ -512,7 +505,7 @@ def drive_segments(
     rover, terrain, plan : what was driven where.
     record, update, false_alarms : as in `find_change`.
     soil_map : what was believed of the soil by place.
-    forget : share of the way back to the first laws, as in `SoilBelief.forgotten`. [-]
+    forgotten : share of the way back to the first laws, as in `SoilBelief.forgotten`. [-]
     particles, seed, progress : as in `assimilate`.
 
     Of a stretch beside others count the states of times at which the whole rover stood in it, and no position: where
@@ -522,7 +515,7 @@ def drive_segments(
     way = traverse_of(update.prediction)
 
     def believed(place_m: FloatArray) -> SoilBelief:
-        return soil_map.belief_along(place_m).inflated(forget)
+        return soil_map.belief_along(place_m).forgotten(forgotten)
 
     def learned(states: DriveRecord, low: float, high: float) -> _Part:
         before = believed(way.between(low, high))

@@ -19,6 +19,7 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, at_times
 from lunarsci.errors import ParameterError
+from lunarsci.ranges import NOT_NEGATIVE, check_range
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.regolith.prior import PARAMETERS, strange
@@ -48,14 +49,14 @@ from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.discrepancy import TURNS, exposed, turn_matrix, way_matrix
-from lunarsci.twin.simulation.ensemble import Prediction, predict
+from lunarsci.twin.simulation.ensemble import MOST_BEYOND, Prediction, predict
 
 PARTICLES, FEWEST_PARTICLES = 128, 32
 ROUNDS = 2
 """Of widening errors by what the best soil leaves, and looking for it again."""
-MOST_OUTLIERS, MOST_INFLATION = 0.05, 5.0
-"""Share of outliers beyond which the twin does not explain a drive, and factor of the errors beyond which it is asked
-whether it does: sensors that measure better than the twin's law holds are no fault of the drive. Assumed."""
+MOST_INFLATION = 5.0
+"""Factor of the errors beyond which it is asked whether the twin explains a drive: sensors that measure better than the
+twin's law holds are no fault of the drive. Assumed."""
 UNEXPLAINED = 0.8
 """Root mean square of what the best soil leaves of a quantity, as a share of that of the quantity, from which on the
 twin explains nothing of it, as with a wrong sign or unit; of a position, as a share of the way, a tenth. Assumed."""
@@ -87,7 +88,11 @@ WIDENED = 2.0
 went. So it is of 1 of 70 right beliefs and of 10 of 38 of other physics, rovers and tracks that nothing else doubts,
 measured by `tests/benchmarks/leaning.py` (docs/validation/drive.md). [-]"""
 STILL = 1.1
-"""Factor of the errors that is no longer worth another round; assumed."""
+"""Factor of the errors in a round that has converged."""
+LEAST_LEAN, LEAN_ERRORS, LEAN_SOILS = 0.02, 2.0, 64
+"""Slip that a belief may lean by: so much, or so many standard errors where that is more; and soils that tell the
+spread. Of 70 right beliefs the farthest lean by 0.017 and by 1.7 errors, measured by `tests/benchmarks/leaning.py`
+(docs/validation/drive.md). [-]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -225,10 +230,8 @@ def assimilate(
     Raises ParameterError for a record of another rover, with fewer values than parameters, or a drive that no soil of
     the belief carries to its end.
     """
-    if particles < FEWEST_PARTICLES:
-        raise ParameterError(f"{particles} particles are too few; give {FEWEST_PARTICLES} or more")
-    if not 0 <= model_error < np.inf:
-        raise ParameterError(f"model error is {model_error}; give 0 or more")
+    check_range("particles", particles, f"[{FEWEST_PARTICLES}, inf)")
+    check_range("model_error", model_error, NOT_NEGATIVE)
     random = np.random.default_rng(seed)
     common = {name: model_error * share for name, share in MODEL_SHARES.items()}
     bias = DriveBias(common, turns=model_error * float(np.sqrt(TURNS.variance)))
@@ -326,7 +329,7 @@ def _taught(
     """The discrepancy after a drive, by what the soil that explains it best leaves of its states and of its end."""
     law = before
     if drive.counted[:, :3].any():
-        law = law.with_states(unexplained_share(drive, expected, best))
+        law = law.after_states(unexplained_share(drive, expected, best))
     times = drive.record.fix_time_s
     if not len(times):
         return law
@@ -336,7 +339,7 @@ def _taught(
     counted = drive.record.fix_covariance_m2[last] + FIX_ERROR_M**2 * np.eye(2)
     counted += turn_matrix(drive.plan, best.planned[so_far], best.distance_m[so_far], best.paths[:, so_far])
     miss = FOLLOWED * (drive.record.fix_m[last] - place)
-    return law.with_miss(miss, counted, way_matrix(best.planned[so_far, :2], best.paths[:, so_far, :3]))
+    return law.after_end(miss, counted, way_matrix(best.planned[so_far, :2], best.paths[:, so_far, :3]))
 
 
 def unexplained_share(drive: DriveResiduals, expected: FloatArray, best: Prediction) -> float:
@@ -361,7 +364,7 @@ def _refusal(
     drive: DriveResiduals, outliers: int, wheels: Mapping[str, float], expected: FloatArray, best: Prediction
 ) -> str:
     look = "look for a wrong plan, terrain or clock, or begin anew with another belief"
-    if outliers > MOST_OUTLIERS * (values := int(drive.counted.sum())):
+    if outliers > MOST_BEYOND * (values := int(drive.counted.sum())):
         return f"{outliers} of {values} values are explained by no soil of the belief; {look}"
     left = _unexplained(drive, expected, best)
     worst = max(left, key=lambda name: left[name], default="")
@@ -394,12 +397,6 @@ def _unexplained(drive: DriveResiduals, expected: FloatArray, best: Prediction) 
 
 def _rms(values: FloatArray) -> float:
     return float(np.sqrt((values**2).mean()))
-
-
-LEAST_LEAN, LEAN_ERRORS, LEAN_SOILS = 0.02, 2.0, 64
-"""Slip that a belief may lean by: so much, or so many standard errors where that is more; and soils that tell the
-spread. Of 70 right beliefs the farthest lean by 0.017 and by 1.7 errors, measured by `tests/benchmarks/leaning.py`
-(docs/validation/drive.md). [-]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -38,6 +38,9 @@ FILE = "prediction.json"
 TABLES = ("states.csv", "paths.csv")
 """Of the folder, with the states and paths of every drive."""
 AGAIN = "predict the drive again with `lunarsci twin predict -o`"
+_ALIKE = ("plan", "time_s", "distance_m", "planned", "states", "halted", "recorded", "outcome", "discrepancy")
+NEAR = 0.5
+"""Of a quantity's mean size, that its mean counts by at least: a mean force near 0 says nothing of shares; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -111,9 +114,6 @@ def forecast_of(
         paths=paths,
         **{name: getattr(prediction, name) for name in _ALIKE},
     )
-
-
-_ALIKE = ("plan", "time_s", "distance_m", "planned", "states", "halted", "recorded", "outcome", "discrepancy")
 
 
 def forecast_document(forecast: Forecast, tables: Mapping[str, Callable[[], bytes]]) -> dict[str, Any]:
@@ -318,10 +318,6 @@ def match_observations(
     )
 
 
-NEAR = 0.5
-"""Of a quantity's mean size, that its mean counts by at least: a mean force near 0 says nothing of shares; assumed."""
-
-
 @dataclass(frozen=True, slots=True)
 class Miss:
     """The last position beside the middle of the soils, as a share of the way.
@@ -407,7 +403,7 @@ def taught(matched: MatchedObservations, before: PhysicsDiscrepancy) -> PhysicsD
     """The discrepancy after the drive: the way's shares by the last position, those of wheel states by their means."""
     after, result = before, _miss_parts(matched)
     if result is not None:
-        after = after.with_miss(result.miss, result.soil + result.place + result.turns, result.way)
+        after = after.after_end(result.miss, result.soil + result.place + result.turns, result.way)
     for name in SHARED:
         column = OBSERVED.index(name)
         rows = matched.counted[:, column]
@@ -429,4 +425,4 @@ def _by_mean(
         return before
     miss = float((matched.record.values[rows, column] - members.mean(axis=0)).mean())
     error = float((matched.sigma[rows, column] ** 2).mean()) / int(rows.sum()) + MODEL_ERRORS[name] ** 2
-    return before.with_quantity(name, miss, float(means.var(ddof=1)) + error, abs(float(means.mean())))
+    return before.after_quantity(name, miss, float(means.var(ddof=1)) + error, abs(float(means.mean())))

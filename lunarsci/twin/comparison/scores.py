@@ -17,6 +17,15 @@ from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.twin.assimilation.residuals import MODEL_ERRORS, OBSERVED
 from lunarsci.twin.comparison.forecast import MatchedObservations
 from lunarsci.twin.judgement.endpoint import ErrorEllipse
+from lunarsci.twin.plans.motion import CLOCK_S
+
+WINDOW = 5.0
+"""The sum over lags ends where it is this many correlation lengths long (Sokal 1997)."""
+REGIONS = (0.5, 0.9, 0.95, 0.99)
+"""Shares of a prediction that regions are given for."""
+ALL = "all"
+NOMINAL = 0.9
+"""Share of values that the bands and the region of a check hold."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,10 +223,6 @@ def predictive_rank(observed: FloatArray, sigma: FloatArray, members: FloatArray
     return np.asarray((total + 0.5) / (len(members) + 1.0))
 
 
-WINDOW = 5.0
-"""The sum over lags ends where it is this many correlation lengths long (Sokal 1997)."""
-
-
 def correlation_length(series: FloatArray, taken: int = 0) -> float:
     """Number of neighbouring values that count as one: 1 + 2 (sum of the autocorrelation), 1 to n. [-]
 
@@ -240,12 +245,6 @@ def correlation_length(series: FloatArray, taken: int = 0) -> float:
         if lag >= WINDOW * length:
             break
     return float(np.clip(length, 1.0, count))
-
-
-REGIONS = (0.5, 0.9, 0.95, 0.99)
-"""Shares of a prediction that regions are given for."""
-LATE_S = 1.0
-"""A position this long before the plan ends still counts as one of its end: the rover slows down there. Assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -320,7 +319,7 @@ def check_end(matched: MatchedObservations, seed: int = 0) -> EndCheck | None:
     enough = len(members) > len(off) + 2
     return EndCheck(
         time_s=float(times[last]),
-        at_end=bool(times[last] >= matched.forecast.time_s[-1] - LATE_S),
+        at_end=bool(times[last] >= matched.forecast.time_s[-1] - CLOCK_S),
         x_m=float(measured[0]),
         y_m=float(measured[1]),
         predicted_x_m=float(mean[0]),
@@ -377,11 +376,6 @@ def region_ellipse(members: FloatArray, error: FloatArray, probability: float) -
     minor, major = np.sqrt(np.maximum(values, 0.0) * edge)
     azimuth = float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1]))) % 180.0
     return ErrorEllipse(float(major), float(minor), azimuth, 1.0, float(major), float(minor), float("nan"))
-
-
-ALL = "all"
-NOMINAL = 0.9
-"""Share of values that the bands and the region of a check hold."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,10 +1,7 @@
 """A prediction held against a drive, and whether it was to be trusted.
 
-Whether the bands of the wheel states hold as many of them as they should.
-
-Is what happened one of the things that were predicted: all quantities together, along the drive.
-
-Means of the wheels over pieces of a drive, measured and predicted, and how well the measured ones are known.
+Bands of wheel states have to hold as many of them as they should, and what happened has to be one of the things that
+were predicted, all quantities together, by means of the wheels over pieces of the drive.
 
 Neighbouring values are alike: all of a drive share one soil, and errors of measurement are shared by neighbours and by
 wheels where they come from one smoothed motion. So a piece of the drive counts as one value. What the members share is
@@ -51,6 +48,29 @@ BY_WHEEL = ("sinkage_m",)
 """Measured of each wheel by itself; slip and forces follow from the motion of the one body, and share its errors."""
 LEAST_FREE = 8
 """Values beyond those that the smooth course takes, below which their scatter is not asked."""
+PIECES, FINE_PIECES = 4, 6
+"""Of the drive, for the surprise and for a change of the soil: few, as each must be one value among the members."""
+MEMBERS_EACH = 4
+"""Members for each dimension of the vector, below which fewer pieces are taken."""
+MOST_REFERENCES = 400
+"""Members whose coverage is worked out, beside which that of the drive is held; more would add nothing."""
+ALARM = 0.01
+"""Probability below which a drive is none of those that were predicted. All tests together raise a false alarm in 2 to
+5 of 100 drives, measured with 64 members; most where the belief is as wide as the priors, and drives differ most."""
+ALARM_OF_CHANGE = 0.003
+"""The same for a change of the ground: how well the measured means are known is estimated from the drive itself. It is
+among the tests whose false alarms were measured together."""
+BORDERLINE = 0.1
+"""Probability below which something of a drive lies near the edge of what was predicted: nothing speaks against the
+prediction, nor much for it. Right predictions come near in 20 to 30 of 100 drives, measured with the drives of
+`tests/twin/comparison/test_verdict.py`."""
+FAR, SELDOM = 5.0, 0.05
+"""Standard deviations beyond which a mean or an end is too far off also where a single odd member is farther, which
+hides more than it says, and how seldom it must be among the members; among the tests measured together, see `ALARM`."""
+LEAST_MEMBERS = 20
+"""Drives that finished, of which one is 5 %: of fewer the extremes are both ends of a region of 90 %."""
+LEAST_FINISHED = 0.5
+"""Share of predicted drives that finish; assumed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,12 +151,6 @@ def _scatter(times: FloatArray, off: FloatArray, anomalies: FloatArray) -> tuple
         rests.append(series - counted @ np.linalg.lstsq(counted, series, rcond=None)[0])
     rest = min(rests, key=lambda one: float(one @ one))
     return float(rest @ rest) / free * correlation_length(rest, len(moments) - free), free
-
-
-PIECES, FINE_PIECES = 4, 6
-"""Of the drive, for the surprise and for a change of the soil: few, as each must be one value among the members."""
-MEMBERS_EACH = 4
-"""Members for each dimension of the vector, below which fewer pieces are taken."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,10 +285,6 @@ def find_change(matched: MatchedObservations, seed: int = 0) -> GroundChange | N
     return GroundChange(place, most[2])
 
 
-MOST_REFERENCES = 400
-"""Members whose coverage is worked out, beside which that of the drive is held; more would add nothing."""
-
-
 @dataclass(frozen=True, slots=True)
 class Coverage:
     """Shares of values in their 90 % bands, against those that members have.
@@ -335,25 +345,6 @@ def _shares(matched: MatchedObservations, name: str, seed: Sequence[int]) -> Flo
         away = members[m] + sigma * random.standard_normal(sigma.shape) - (mean - off / (count - 1))
         shares.append((np.abs(away) <= half_band(count - 1) * np.sqrt(variance)).mean())
     return np.array(shares)
-
-
-ALARM = 0.01
-"""Probability below which a drive is none of those that were predicted. All tests together raise a false alarm in 2 to
-5 of 100 drives, measured with 64 members; most where the belief is as wide as the priors, and drives differ most."""
-ALARM_OF_CHANGE = 0.003
-"""The same for a change of the ground: how well the measured means are known is estimated from the drive itself.
-Assumed."""
-BORDERLINE = 0.1
-"""Probability below which something of a drive lies near the edge of what was predicted: nothing speaks against the
-prediction, nor much for it. Right predictions come near in 20 to 30 of 100 drives, measured with the drives of
-`tests/twin/comparison/test_verdict.py`."""
-FAR, SELDOM = 5.0, 0.05
-"""Standard deviations beyond which a mean or an end is too far off also where a single odd member is farther, which
-hides more than it says, and how seldom it must be among the members; assumed."""
-LEAST_MEMBERS = 20
-"""Drives that finished, below which a region of 90 % is not known; assumed."""
-LEAST_FINISHED = 0.5
-"""Share of predicted drives that finish; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,6 +18,7 @@ from PIL import Image
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import OutputError, ParameterError
 from lunarsci.figure import INK, as_label, synthetic_title
+from lunarsci.ranges import check_range
 from lunarsci.twin.figures.panels import (
     ACCENT,
     GOLD,
@@ -79,8 +80,7 @@ def animate(
     fails.
     """
     check_format(target)
-    if not 2 <= frames <= MOST_FRAMES:
-        raise ParameterError(f"frames is {frames}; give 2 to {MOST_FRAMES}")
+    check_range("frames", frames, f"[2, {MOST_FRAMES}]")
     count = len(prediction.time_s)
     samples = [int(k) for k in np.unique(np.linspace(0, count - 1, min(frames, count)).astype(np.int64))]
     stage = _Stage(prediction, verdict)

@@ -39,6 +39,20 @@ from lunarsci.twin.plans.plan import Plan
 COLORS = "cividis_r"
 LEAST_SHOWN, MOST_SHOWN = 0.005, 1.0
 """Ends of the colour scale of risks, which is logarithmic. [-]"""
+MEASURES = (
+    ("kept_share", 100.0, "drives that\nkeep limits [%]"),
+    ("slip_ratio", 1.0, "slip s, worst [-]"),
+    ("sinkage_m", 1e3, "sinkage z,\nworst [mm]"),
+    ("energy_p50_j", 1.0, "work at the\nwheels [J]"),
+    ("pull_per_weight_at_20", 1.0, "pull per weight\nat 20 % slip [-]"),
+)
+"""Keys of a design's row, factor, and label."""
+MOST_NAMED = 8
+"""Designs of the front whose values are written beside their dots."""
+WAITED, LOCALISED, STAYED = "#d9d9d9", "#9fb4c0", GOLD
+MARGIN_M = 2.0
+MOST_ARRIVALS = 24
+"""Names of arrivals that fit side by side; one that is too near to the one before is left out."""
 
 
 def candidate_map(surface: Traversability, choice: DriveChoice) -> Figure:
@@ -62,8 +76,8 @@ def candidate_map(surface: Traversability, choice: DriveChoice) -> Figure:
     _mark_choice(axes, choice)
     bar = figure.colorbar(scale, ax=axes, fraction=0.03, pad=0.01, shrink=0.9)
     bar.set_label("chance of failing [-]")
-    bar.ax.axhline(choice.risk, color=INK, linewidth=2.0)
-    bar.ax.annotate("accepted", (0.0, choice.risk), (-3, -3), xycoords=("axes fraction", "data"),
+    bar.ax.axhline(choice.risk.share, color=INK, linewidth=2.0)
+    bar.ax.annotate("accepted", (0.0, choice.risk.share), (-3, -3), xycoords=("axes fraction", "data"),
                     textcoords="offset points", ha="right", color=INK)  # fmt: skip
     axes.set_title(wrapped(_choice_headline(choice), 0.8 * PAGE_IN))
     title = f"{len(choice.candidates)} drives compared on {as_label(terrain.name)}; hatched: hazard"
@@ -80,9 +94,9 @@ def _choice_headline(choice: DriveChoice) -> str:
     best = choice.best
     share = f"{100 * best.stated.risk:.1f} % (at most {100 * best.stated.high:.1f} %) fail"
     if choice.feasible:
-        return f"drive {best.number}: {as_label(best.plan.name)}; {share}, {100 * choice.risk:g} % accepted"
+        return f"drive {best.number}: {as_label(best.plan.name)}; {share}, {100 * choice.risk.share:g} % accepted"
     safest = f"the safest is {best.number}, {as_label(best.plan.name)}: {share}"
-    return f"no drive fails with {100 * choice.risk:g} % or less; {safest}"
+    return f"no drive fails with {100 * choice.risk.share:g} % or less; {safest}"
 
 
 def _frame(surface: Traversability, choice: DriveChoice) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -156,12 +170,12 @@ def front_page(choice: DriveChoice) -> Figure:
         _draw_risks(axes, choice, name)
         named[axes] = [(str(one.number), getattr(one, name), one.stated.risk) for one in choice.front]
         axes.set_xlabel(label)
-        axes.axhline(choice.risk, color=INK, linewidth=1.0, linestyle="--")
+        axes.axhline(choice.risk.share, color=INK, linewidth=1.0, linestyle="--")
         axes.set_yscale("log")
         axes.set_ylim(LEAST_SHOWN * 0.6, 1.3)
         axes.grid()
     panels[0].set_ylabel("chance of failing [-]")
-    panels[0].text(0.01, choice.risk * 1.06, "accepted", transform=panels[0].get_yaxis_transform(), color=INK)
+    panels[0].text(0.01, choice.risk.share * 1.06, "accepted", transform=panels[0].get_yaxis_transform(), color=INK)
     legend_below(figure, panels)
     title = "what less risk costs; bars: 5 % to 95 %, from the number of drives"
     headline(figure, title, synthetic=choice.best.prediction.terrain.synthetic)
@@ -193,18 +207,6 @@ def _bars(axes: Axes, group: list[DriveCandidate], name: str, color: str, marker
     low, high = (np.array([getattr(one.stated, end) for one in group]) for end in ("low", "high"))
     spread = np.maximum(np.array([risk - low, high - risk]), 0.0)
     axes.errorbar(x, risk, spread, fmt=marker, color=color, markersize=4, elinewidth=0.7, capsize=1.5, label=label)
-
-
-MEASURES = (
-    ("kept_share", 100.0, "drives that\nkeep limits [%]"),
-    ("slip_ratio", 1.0, "slip s, worst [-]"),
-    ("sinkage_m", 1e3, "sinkage z,\nworst [mm]"),
-    ("energy_p50_j", 1.0, "work at the\nwheels [J]"),
-    ("pull_per_weight_at_20", 1.0, "pull per weight\nat 20 % slip [-]"),
-)
-"""Keys of a design's row, factor, and label."""
-MOST_NAMED = 8
-"""Designs of the front whose values are written beside their dots."""
 
 
 def design_front_page(designs: Sequence[Design], front: Sequence[int], *, synthetic: bool = False) -> Figure:
@@ -282,12 +284,6 @@ def _draw_curve(axes: Axes, values: Any, measured: Any) -> None:
     for place in np.unique(values[~finished]):
         axes.axvline(place, color=LIMIT, linewidth=0.8, linestyle=":", alpha=0.6)
     axes.grid()
-
-
-WAITED, LOCALISED, STAYED = "#d9d9d9", "#9fb4c0", GOLD
-MARGIN_M = 2.0
-MOST_ARRIVALS = 24
-"""Names of arrivals that fit side by side; one that is too near to the one before is left out."""
 
 
 def mission_map(surface: Traversability, driven: DrivenMission) -> Figure:

@@ -24,6 +24,23 @@ ACCENT, LIMIT, GOLD = BLUE, "#B2182B", "#f4c430"
 MARGIN_M = 3.6
 NO_HEIGHT = "#d9b8b0"
 MOST_PATHS = 400
+LABELS = {
+    "slip_ratio": ("slip ratio s [-]", 1.0),
+    "side_slip_deg": ("side slip β [°]", 1.0),
+    "sinkage_m": ("sinkage z [mm]", 1e3),
+    "tilt_deg": ("tilt [°]", 1.0),
+    "roll_deg": ("roll [°]", 1.0),
+    "pitch_deg": ("pitch, nose down [°]", 1.0),
+    "clearance_m": ("ground clearance [m]", 1.0),
+    "keep_out_m": ("distance from keep-outs [m]", 1.0),
+    "miss_m": ("off the planned place [m]", 1.0),
+    "normal_force_n": ("normal force F$_N$ [N]", 1.0),
+    "drawbar_pull_n": ("drawbar pull F$_{DP}$ [N]", 1.0),
+    "lateral_force_n": ("lateral force F$_L$ [N]", 1.0),
+    "resistance_torque_nm": ("resistance torque M$_R$ [N m]", 1.0),
+}
+"""Axis label, and factor from the quantity's unit to the label's."""
+SIGNED = ("slip_ratio", "side_slip_deg")
 
 
 def shown_members(prediction: Prediction) -> IntArray:
@@ -118,25 +135,6 @@ def draw_exclusion_zones(axes: Axes, prediction: Prediction) -> None:
         edge: Any = {"fill": False, "edgecolor": LIMIT, "linewidth": 1.3, "hatch": "//", "zorder": 2.6, "label": name}
         axes.add_patch(Circle(center, circle.radius_m, **edge))
         axes.annotate(as_label(circle.name, 24), center, ha="center", va="center", clip_on=True, zorder=2.7)
-
-
-LABELS = {
-    "slip_ratio": ("slip ratio s [-]", 1.0),
-    "side_slip_deg": ("side slip β [°]", 1.0),
-    "sinkage_m": ("sinkage z [mm]", 1e3),
-    "tilt_deg": ("tilt [°]", 1.0),
-    "roll_deg": ("roll [°]", 1.0),
-    "pitch_deg": ("pitch, nose down [°]", 1.0),
-    "clearance_m": ("ground clearance [m]", 1.0),
-    "keep_out_m": ("distance from keep-outs [m]", 1.0),
-    "miss_m": ("off the planned place [m]", 1.0),
-    "normal_force_n": ("normal force F$_N$ [N]", 1.0),
-    "drawbar_pull_n": ("drawbar pull F$_{DP}$ [N]", 1.0),
-    "lateral_force_n": ("lateral force F$_L$ [N]", 1.0),
-    "resistance_torque_nm": ("resistance torque M$_R$ [N m]", 1.0),
-}
-"""Axis label, and factor from the quantity's unit to the label's."""
-SIGNED = ("slip_ratio", "side_slip_deg")
 
 
 def wheel_line(number: int) -> Any:

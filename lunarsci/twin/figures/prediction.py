@@ -34,6 +34,11 @@ from lunarsci.twin.judgement.tables import available
 from lunarsci.twin.simulation.ensemble import Prediction
 
 WHEELS = ("slip_ratio", "side_slip_deg", "sinkage_m")
+LEFT = ("tilt_deg", "roll_deg", "pitch_deg", "miss_m")
+RIGHT = ("clearance_m", "keep_out_m")
+SHOWN = ("slip_ratio", "side_slip_deg", "sinkage_m")
+MOST_BOXES, BINS = 15, 8
+ROWS = 3
 
 
 def path_fan(prediction: Prediction, verdict: Verdict) -> Figure:
@@ -135,10 +140,6 @@ def _sample(axes: Axes, width: float, style: str) -> Any:
     return axes.plot([], [], color=INK, linewidth=width, linestyle=style)[0]
 
 
-LEFT = ("tilt_deg", "roll_deg", "pitch_deg", "miss_m")
-RIGHT = ("clearance_m", "keep_out_m")
-
-
 def profile_page(prediction: Prediction, verdict: Verdict) -> Figure:
     """Tilt, roll, pitch and miss on the left; clearance, distance to keep-out circles and wheel loads on the right.
 
@@ -163,11 +164,6 @@ def profile_page(prediction: Prediction, verdict: Verdict) -> Figure:
     title = f"profiles of {members}; upright lines: joints of the plan"
     headline(figure, title, synthetic=prediction.terrain.synthetic)
     return figure
-
-
-SHOWN = ("slip_ratio", "side_slip_deg", "sinkage_m")
-MOST_BOXES, BINS = 15, 8
-ROWS = 3
 
 
 def grouped(values: FloatArray) -> list[tuple[float, BoolArray]]:

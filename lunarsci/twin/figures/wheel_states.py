@@ -19,6 +19,11 @@ STATE_PANELS = ("slip_ratio", "side_slip_deg", "sinkage_m")
 MARGIN_M = 1.6
 WORDS = 60
 """Letters of a finding that are drawn."""
+# Left and right wheel, told apart by the colour-blind (Okabe & Ito 2008).
+LEFT, RIGHT = BLUE, VERMILION
+FORCES = ("normal_force_n", "drawbar_pull_n", "lateral_force_n")
+MISSING = ("missing ahead [N]", "missing to the left [N]", "missing moment [N m]")
+FORCE_PANELS = (*FORCES, "resistance_torque_nm", "slip_ratio", "side_slip_deg")
 
 
 def states_page(drive: DriveStates, terrain: Terrain, title: str) -> Figure:
@@ -114,12 +119,6 @@ def _distance_at(drive: DriveStates, times: FloatArray) -> FloatArray:
     return np.asarray(np.interp(times, drive.nodes.time_s, way))
 
 
-# Left and right wheel, told apart by the colour-blind (Okabe & Ito 2008).
-LEFT, RIGHT = BLUE, VERMILION
-FORCES = ("normal_force_n", "drawbar_pull_n", "lateral_force_n")
-MISSING = ("missing ahead [N]", "missing to the left [N]", "missing moment [N m]")
-
-
 def force_band_figure(loads: LoadEnsemble, title: str, *, synthetic: bool = False) -> Figure:
     """A column of panels for each axle: the three forces of its wheels, and below what is missing of the totals.
 
@@ -182,9 +181,6 @@ def _band_frame(panel: Any, text: str, along: FloatArray) -> None:
 def _zero(panel: Any) -> None:
     if panel.get_ylim()[0] < 0 < panel.get_ylim()[1]:
         panel.axhline(0.0, color=INK, linewidth=0.6)
-
-
-FORCE_PANELS = (*FORCES, "resistance_torque_nm", "slip_ratio", "side_slip_deg")
 
 
 def force_figure(

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
-from lunarsci.errors import DataError, RequestError
+from lunarsci.errors import DataError, RequestError, within_file
 from lunarsci.io.documents import toml_document
-from lunarsci.io.inputs import InputFile, read_input
+from lunarsci.io.inputs import InputFile, Source, read_input
 from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.names import one_of
 from lunarsci.regolith.belief import FitVerdict, SoilBelief, first_belief, read_belief, read_verdict
@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Origin = Literal["option", "default", "terrain", "belief", "priors", "samples", "map"]
+PRIORS = "priors"
+"""Name of what is believed of the soil before any drive."""
+DEFAULT_SOIL = "longji"
+"""Where none is given; it also lies under a belief, where it is nowhere used: this replaces every parameter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,15 +104,13 @@ def read_soil_samples(
     """
     file = source if isinstance(source, InputFile) else read_input(str(source))
     table = read_csv_table(file)
-    try:
+    with within_file(file.name, ValueError):
         unknown = [str(name) for name in table if name not in SOIL_COLUMNS]
         if unknown:
             raise DataError(f"'{unknown[0]}' is not a soil parameter; {one_of(unknown[0], SOIL_COLUMNS)}")
         if table.empty:
             raise DataError("no soils; a row for each is wanted")
         rows = _rows(len(table), members, seed)
-    except ValueError as error:
-        raise DataError(f"{file.name}: {error}") from error
     return {str(name): _column(file.name, str(name), cells)[rows] for name, cells in table.items()}
 
 
@@ -117,10 +119,8 @@ def _column(file: str, name: str, cells: "pd.Series") -> FloatArray:
     strange = np.flatnonzero(~np.isfinite(values))
     suspects = strange[:1] if strange.size else (np.argmin(values), np.argmax(values))
     for row in suspects:
-        try:
+        with within_file(f"{file}, row {row + 1}", ValueError):
             soil_override({name: float(values[row])})
-        except ValueError as error:
-            raise DataError(f"{file}, row {row + 1}: {error}") from error
     return values
 
 
@@ -130,12 +130,6 @@ def _rows(count: int, members: int | None, seed: int) -> IntArray:
     if members > count:
         raise DataError(f"{count} soils for {members} members; give at most {count}")
     return np.sort(np.random.default_rng(seed).choice(count, members, replace=False))
-
-
-PRIORS = "priors"
-"""Name of what is believed of the soil before any drive."""
-DEFAULT_SOIL = "longji"
-"""Where none is given; it also lies under a belief, where it is nowhere used: this replaces every parameter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +157,7 @@ class GivenSoil:
         """
         result = cls()
         for name in (soil,) if isinstance(soil, str) else soil or ():
-            one = cls._of(name)
+            one = cls.of_source(name)
             taken = result.named if one.file is None else result.name
             if taken:
                 what = "soil" if one.file is None else "soils"
@@ -174,16 +168,17 @@ class GivenSoil:
         return result
 
     @classmethod
-    def _of(cls, name: str) -> "GivenSoil":
+    def of_source(cls, source: Source) -> "GivenSoil":
         """What one name or file is: priors, a soil by name or as TOML, laws of its parameters, JSON, or samples."""
-        if name == PRIORS:
+        if source == PRIORS:
             file = InputFile(PRIORS, first_belief().to_json().encode())
             return cls(file=file, of="belief", belief=first_belief())
-        like_a_file = name == "-" or Path(name).is_file() or name.lower().endswith((".json", ".csv"))
-        if name in soil_tables() or not like_a_file:
-            return cls(named=name)
-        file = read_input(name)
-        if file.data.lstrip().startswith(b"{") or name.lower().endswith(".json"):
+        if isinstance(source, str):
+            like_a_file = source == "-" or Path(source).is_file() or source.lower().endswith((".json", ".csv"))
+            if source in soil_tables() or not like_a_file:
+                return cls(named=source)
+        file = read_input(source)
+        if file.data.lstrip().startswith(b"{") or file.name.lower().endswith(".json"):
             if MAP_SCHEMA.encode() in file.data:
                 return cls(file=file, of="map", soil_map=read_soil_map(file))
             return cls(file=file, of="belief", belief=read_belief(file))
@@ -191,7 +186,7 @@ class GivenSoil:
             return cls(file=file, of="samples")
         if _has_laws(file.data):
             return cls(file=file, of="belief", belief=first_belief(read_prior(file)))
-        return cls(named=name)
+        return cls(named=file.name)
 
     @property
     def name(self) -> str:

@@ -1,6 +1,4 @@
-"""Finer terrains over parts of a coarse one: the coarse nodes with what is under them, and patches of fine nodes.
-
-Roughness that lies between the nodes of a coarse grid, drawn from the roughness of the Moon by scale.
+"""Ground finer than a coarse grid: drawn by the roughness of the Moon by scale, or measured, as patches of fine nodes.
 
 A map from orbit shows no ground between its nodes, and a rover meets it. Differences of lunar heights over a distance l
 have the variance c l^(2 H), and medians of slope and exponent are known for maria and highlands down to 17 m. That the
@@ -51,6 +49,9 @@ SLOPE_SD = 1.0
 walls."""
 HEIGHT_UNITS = {"km": 1e3, "cm": 1e-2, "mm": 1e-3}
 """In metres, by definition; feet and decimetres make slopes that the Moon has, too."""
+MAPS = ("slope_deg", "roughness_m", "step_m")
+MOST_NODES = 2_000_000
+"""A patch that would have more gets wider nodes, each with the worst of what lies in its cell."""
 
 
 def relief_of_kind(slope_deg: float, hurst: float) -> Relief:
@@ -214,9 +215,6 @@ def _finer(terrain: Terrain, rows: slice, columns: slice, factor: int) -> Terrai
     )
 
 
-MAPS = ("slope_deg", "roughness_m", "step_m")
-MOST_NODES = 2_000_000
-"""A patch that would have more gets wider nodes, each with the worst of what lies in its cell."""
 Values = npt.NDArray[np.floating]
 
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.compiled import compiled, each_in_threads
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import DataError, ParameterError, within_file
 from lunarsci.heights.grid import HeightGrid
 from lunarsci.heights.grids import geotiff_bytes, read_grid
 from lunarsci.heights.projections import MapProjection, projection_of
@@ -27,7 +27,26 @@ from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.rover import Rover
 
 OVERHANG = 1.05
-"""The discs that cover the rectangle are at most so many half widths in radius; assumed."""
+"""The discs that cover the rectangle are at most so many half widths in radius: nearer 1 there are more of them."""
+ROUND = 0.6
+"""Share of the circle about a polygon that it must fill to be taken for that circle; assumed."""
+FINEST = 64
+"""Squares along the longer side of a polygon, at most, that circles stand for."""
+STRAY_M = 3.0
+"""Drives are not looked for farther from their plans, beside half a rover, than this; assumed. [m]"""
+FARTHEST_M = 1.1e7
+"""Once round the Moon, of 1737.4 km radius (Archinal et al. 2018, 10.1007/s10569-017-9805-5). [m]"""
+FORBIDDEN = "forbidden"
+SAME_CLASS = 1e-6
+# Where a rover file has no [limits]: assumed, cautious for a rocker-bogie.
+FALLBACK_STEP_IN_RADII = 1.0
+FALLBACK_TURN_IN_TRACKS = 1.5
+FALLBACK_DISTANCE_IN_TRACKS = 0.2
+TILE = 512
+WIDEST_STEP = 2.0
+"""A square this many times as wide as a wheel is high no longer shows what the wheel climbs; assumed."""
+COST_CAP = 100.0
+"""Of a node that is no obstacle; assumed, so that no ground counts as much as an obstacle."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,16 +144,6 @@ def nearest_node(
         if distance[point] < best[0]:
             best = (float(distance[point]), point, number)
     return best
-
-
-ROUND = 0.6
-"""Share of the circle about a polygon that it must fill to be taken for that circle; assumed."""
-FINEST = 64
-"""Squares along the longer side of a polygon, at most, that circles stand for."""
-STRAY_M = 3.0
-"""Drives are not looked for farther from their plans, beside half a rover, than this; assumed. [m]"""
-FARTHEST_M = 1.1e7
-"""Once round the Moon, of 1737.4 km radius (Archinal et al. 2018, 10.1007/s10569-017-9805-5). [m]"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,10 +269,6 @@ def near_way(zones: Zones, places_m: FloatArray) -> Zones:
     )
 
 
-FORBIDDEN = "forbidden"
-SAME_CLASS = 1e-6
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CostLayer:
     """How much a metre of some ground costs, in metres of other ground with the same slopes.
@@ -336,10 +341,8 @@ def read_cost_layer(path: str, terrain: Terrain, classes: Mapping[float, float])
         factor = np.ones(values.shape)
         for value, cost in classes.items():
             factor[np.abs(values - value) < SAME_CLASS] = cost
-    try:
+    with within_file(path):
         return CostLayer(name=Path(path).name, factor=factor.astype(np.float32), covered_share=float(covered.mean()))
-    except ParameterError as error:
-        raise DataError(f"{path}: {error}") from error
 
 
 def _values_at(grid: HeightGrid, terrain: Terrain, path: str) -> npt.NDArray[np.float64]:
@@ -361,12 +364,6 @@ def _values_at(grid: HeightGrid, terrain: Terrain, path: str) -> npt.NDArray[np.
 def shadow_layer(lit: BoolArray, cost: float) -> CostLayer:
     """What a metre in shadow costs; infinite forbids it."""
     return CostLayer(name="shadow", factor=np.where(lit, 1.0, cost).astype(np.float32))
-
-
-# Where a rover file has no [limits]: assumed, cautious for a rocker-bogie.
-FALLBACK_STEP_IN_RADII = 1.0
-FALLBACK_TURN_IN_TRACKS = 1.5
-FALLBACK_DISTANCE_IN_TRACKS = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -420,20 +417,13 @@ def read_mobility(description: RoverDescription, rover: Rover) -> Mobility:
     }
     assumed = {name for name in values if name not in table}
     assumed |= {key.removeprefix("limits.") for key in description.assumed if key.startswith("limits.")}
-    try:
+    with within_file(description.origin):
         check_keys(table, names, "[limits]")
         values |= {name: number_of(value, f"[limits] {name}") for name, value in table.items()}
         return Mobility(**values, assumed=tuple(sorted(assumed)))  # type: ignore[arg-type]
-    except ParameterError as error:
-        raise DataError(f"{description.origin}: {error}") from error
 
 
 FloatMap = npt.NDArray[np.float32]
-TILE = 512
-WIDEST_STEP = 2.0
-"""A square this many times as wide as a wheel is high no longer shows what the wheel climbs; assumed."""
-COST_CAP = 100.0
-"""Of a node that is no obstacle; assumed, so that no ground counts as much as an obstacle."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -7,9 +7,8 @@ the exponential kernel, eq. 4.18) with, as in a moving neighbourhood, the few zo
 its place nearest to the node. Within the track of the rover the belief is the zone's own; far from all zones it is
 that of the first laws: in space, this is how a belief is forgotten.
 
-Soil maps as files: JSON with the beliefs of the zones and their places.
-
-A soil map laid over a terrain: median soil and what is known of it at every node, and grounds drawn from it.
+A map is kept as JSON with the beliefs of the zones and their places. Laid over a terrain it is the median soil and what
+is known of it at every node, and grounds drawn from it.
 """
 
 import json
@@ -34,7 +33,8 @@ from lunarsci.twin.ground.terrain import Terrain, build_terrain
 CORRELATION_M = 5.0
 """Distance over which soils resemble each other, where none is given; assumed."""
 REACH_M = 0.6
-"""Half the width of ground that a drive speaks of: 0.45 m to a wheel's middle, and the wheel; assumed for Yutu-2."""
+"""Half the width of ground that a drive of Yutu-2 speaks of: 0.45 m to a wheel's middle, and the wheel's 0.15 m. With
+another rover `update` takes that of its wheels. [m]"""
 NEIGHBOURS = 4
 """Zones that a node looks at, the nearest ones; assumed."""
 MARGIN_M, NODES_ABOUT = 3.0, 120
@@ -44,6 +44,9 @@ NEAREST_M = 1e-9
 NODES_AT_ONCE = 16_384
 HISTORY_SHARE = 0.05
 """Share of a zone in a blend from which on its drives are named in the history of it; assumed."""
+SCHEMA = "lunarsci/soil-map/1"
+PAIRED_AT_ONCE = 256
+"""Draws of a population that are paired with others at a time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -195,7 +198,7 @@ class SoilMap:
         if not self.zones:
             return FIRST
         first = self.zones[int(self._zone_shares(blend).argmax())].belief.discrepancy
-        return first.inflated(float(np.clip(blend.unknown.mean(), 0.0, 1.0)))
+        return first.forgotten(float(np.clip(blend.unknown.mean(), 0.0, 1.0)))
 
     def _zone_shares(self, blend: Blend) -> FloatArray:
         """What each zone counts for, on average over the places. (zones,) [-]"""
@@ -281,9 +284,6 @@ def _zone_record(zone: Zone) -> dict[str, Any]:
     }
 
 
-SCHEMA = "lunarsci/soil-map/1"
-
-
 def soil_map_bytes(soil_map: SoilMap) -> bytes:
     """As `read_soil_map` reads it; places to a millimetre."""
     document = {
@@ -328,10 +328,6 @@ def _soil_map(document: Any) -> SoilMap:
 def _zone(entry: Mapping[str, Any]) -> Zone:
     places = [np.array(entry[key], dtype=np.float64) for key in ("x_m", "y_m")]
     return Zone(name=str(entry["name"]), place_m=np.column_stack(places), belief=belief_of(entry["belief"]))
-
-
-PAIRED_AT_ONCE = 256
-"""Draws of a population that are paired with others at a time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

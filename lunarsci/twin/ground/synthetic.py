@@ -18,16 +18,29 @@ from lunarsci.twin.ground.terrain import Terrain, build_terrain
 SCALE_M = 0.2
 """Decay length of the covered area with diameter: assumed. [m]"""
 CLEAR_M = 1.5
-"""About the start of a drive, without rocks; assumed. [m]"""
+"""About the start of a drive, without rocks, as this ground is made. [m]"""
 SMALLEST_M, LARGEST_M = 0.1, 2.0
-"""Diameters that are laid: assumed; smaller ones are roughness. [m]"""
+"""Diameters that are laid, as this ground is made: smaller ones are roughness. [m]"""
 HEIGHT_TO_DIAMETER = 0.5
 """A rock is half an ellipsoid of this height to diameter: assumed."""
 LARGEST_SHARE = 0.1
-"""Of the ground that rocks may cover; assumed, some fifty times that of the site."""
+"""Of the ground that rocks may cover, some fifty times that of the site, as this ground is made."""
 ROUGHNESSES_M = "[0, 0.05]"
 STAND_IN = "synthetic stand-in for the Longji site"
 """Name of the terrain that is driven where none is named."""
+# x, y of the centre and diameter [m]. The diameters are published (Ding et al. 2024, Fig. 1c, d); the places are chosen
+# to match the description: 6.1 m on the left, 11.2 m on the right, the drive ends just inside the rim of the 7.5 m one.
+CRATERS = ((4.72, 4.6, 6.1), (4.63, -5.98, 11.2), (12.44, 0.27, 7.5))
+# Wu et al. (2021), EPSL 553, 116666: mean depth/diameter 0.061 of the small craters at the landing site.
+DEPTH_TO_DIAMETER = 0.06
+# Regional gradient dh/dx, dh/dy, and a gentle step down across the passage (x, half width, half height [m]): chosen
+# with the places of the craters for the slopes of the route in Ding et al. (2024), 8.86 deg at most and 5.38 deg at the
+# end, as the tilt of the plane through 1 m x 1 m of ground, downhill and nearly without side slope.
+REGIONAL = (-0.04, 0.0064)
+STEP = (6.895, 1.5, 0.1877)
+MOST_NODES = 4_000_000
+SMALLEST_CRATER_M = 1.0
+"""Diameter of the smallest craters that are laid, as this ground is made: smaller ones are roughness. [m]"""
 
 
 def rocks_per_m2(share: float, diameter_m: npt.ArrayLike) -> FloatArray:
@@ -85,18 +98,6 @@ def _lay_rock(height: FloatArray, x_m: FloatArray, y_m: FloatArray, center: tupl
     square = ((x_m[columns] - center[0]) ** 2)[None, :] + ((y_m[rows] - center[1]) ** 2)[:, None]
     inside = np.maximum(1.0 - square / radius**2, 0.0)
     height[rows, columns] += 2.0 * HEIGHT_TO_DIAMETER * radius * np.sqrt(inside)
-
-
-# x, y of the centre and diameter [m]. The diameters are published (Ding et al. 2024, Fig. 1c, d); the places are chosen
-# to match the description: 6.1 m on the left, 11.2 m on the right, the drive ends just inside the rim of the 7.5 m one.
-CRATERS = ((4.72, 4.6, 6.1), (4.63, -5.98, 11.2), (12.44, 0.27, 7.5))
-# Wu et al. (2021), EPSL 553, 116666: mean depth/diameter 0.061 of the small craters at the landing site.
-DEPTH_TO_DIAMETER = 0.06
-# Regional gradient dh/dx, dh/dy, and a gentle step down across the passage (x, half width, half height [m]): chosen
-# with the places of the craters for the slopes of the route in Ding et al. (2024), 8.86 deg at most and 5.38 deg at the
-# end, as the tilt of the plane through 1 m x 1 m of ground, downhill and nearly without side slope.
-REGIONAL = (-0.04, 0.0064)
-STEP = (6.895, 1.5, 0.1877)
 
 
 def crater_height(
@@ -158,11 +159,6 @@ def synthetic_longji(
     if rock_share:
         height = scatter_rocks(x[0], y[:, 0], height, rock_share, seed)
     return build_terrain(STAND_IN, -3.0, -7.0, spacing_m, height, soil or read_soil("longji"), synthetic=True)
-
-
-MOST_NODES = 4_000_000
-SMALLEST_CRATER_M = 1.0
-"""Diameter of the smallest craters that are laid; assumed, smaller ones are roughness."""
 
 
 def synthetic_terrain(

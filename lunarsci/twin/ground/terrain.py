@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.compiled import compiled
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import DataError, ParameterError, within_file
 from lunarsci.heights.grid import ERROR_LAYERS, HeightGrid
 from lunarsci.heights.grids import check_relief, read_grid
 from lunarsci.heights.projections import projection_or_none
@@ -45,6 +45,8 @@ OVERRIDES = SOIL_COLUMNS | {name: len(SOIL_COLUMNS) + k for k, name in enumerate
 
 STEEPEST = math.tan(math.radians(STEEPEST_DEG))
 INTERPOLATIONS = ("smooth", "triangles")
+CENTER, GROUND, SOIL = (WHEEL.first[name] for name in ("center", "ground", "soil"))
+LEFT_OF_PRIOR = "_left_of_prior"
 
 
 class Grid(NamedTuple):
@@ -302,9 +304,6 @@ def read_surface(grid: Any, x: Any, y: Any, result: Any) -> None:
         result[k, 0], result[k, 1], result[k, 2] = surface_in(grid, i, j, column - j, row - i)
 
 
-CENTER, GROUND, SOIL = (WHEEL.first[name] for name in ("center", "ground", "soil"))
-
-
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def lay_soil(grid: Any, override: Any, wheel: Any) -> None:
     """Soil of every lane: that of `override` (GROUP, 12) where it is not NaN, else the terrain's first."""
@@ -426,9 +425,6 @@ def _factor(name: str) -> float:
     return 1e3 if "_kpa" in name else 1e-3 if name.endswith("_mm") else 1.0
 
 
-LEFT_OF_PRIOR = "_left_of_prior"
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class TerrainFile:
     """What a terrain file says.
@@ -491,10 +487,8 @@ def read_terrain_file(path: str | Path, soil: Soil, height_unit: str | None = No
     """
     unread = tuple(f"{name}{LEFT_OF_PRIOR}" for name in SOIL_COLUMNS)
     grid = read_grid(path, (*SOIL_COLUMNS, *ERROR_LAYERS), unread, unit=height_unit, onto=onto)
-    try:
+    with within_file(str(path), TypeError, ValueError, MemoryError):
         read = _read_terrain(grid, soil)
-    except (TypeError, ValueError, MemoryError) as error:
-        raise DataError(f"{path}: {error}") from error
     check_relief(path, read.terrain.height_m, grid.spacing_m)
     return read
 

@@ -10,7 +10,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import RequestError
 from lunarsci.io.tables import csv_bytes
-from lunarsci.result import MadeFrom, Progress
+from lunarsci.result import Doubt, MadeFrom, Progress
 from lunarsci.twin.assimilation.segments import planned_places
 from lunarsci.twin.ground.driven_soil import DrivenSoil, GivenSoil
 from lunarsci.twin.ground.finer_ground import check_finer, driven_ground, lengths_checked, patch
@@ -30,12 +30,12 @@ from lunarsci.twin.jobs.plan_request import (
 from lunarsci.twin.jobs.requests import GroundRequest, PlanRequest
 from lunarsci.twin.jobs.terrain import SurveyedSite, TerrainSurvey, read_site
 from lunarsci.twin.judgement.choice import Conditions, DriveChoice, choose
-from lunarsci.twin.judgement.keeping import least_drives
 from lunarsci.twin.plans.path import poses_along
 from lunarsci.twin.plans.plan import Limit, Plan, plan_text, read_plan
+from lunarsci.twin.plans.risk import AcceptedRisk
 from lunarsci.twin.routes.candidates import MOST, candidate_plans
 from lunarsci.twin.routes.long_way import LONG_M
-from lunarsci.twin.routes.planner import PLACES_M, PlannedPath, RouteSearch, measured_path, search_margin_m
+from lunarsci.twin.routes.planner import PATH_STEP_M, PlannedPath, RouteSearch, measured_path, search_margin_m
 from lunarsci.twin.simulation.ensemble import member_parameters
 
 if TYPE_CHECKING:
@@ -43,6 +43,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CHECKED_EVERY_M = 0.1
+FRESH = 2
+"""Fresh soils for each one by which drives are chosen: 128 know a risk of 5 % to sqrt(0.05 x 0.95 / 128), 2 %."""
+SOURCES = ["Brown, Cai & DasGupta (2001), Statist. Sci. 16, 101, 10.1214/ss/1009213286"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -68,7 +71,7 @@ class LocalGround:
     ) -> "LocalGround":
         """Raises DataError, and RequestError where heights have errors that drives on several terrains cannot have."""
         alone = GroundRequest(rover=asked.rover, keep_out=asked.keep_out)
-        driven, inputs = asked.risk is not None or asked.mission is not None, dict(site.inputs)
+        driven, inputs = asked.purpose != "path", dict(site.inputs)
         grounds: list[tuple[Traversability, Terrain]] = []
         for path in asked.local:
             local = read_site(path, alone, next(iter(_names(asked)), None), asked.limits_of_ground(), site.terrain.crs)
@@ -107,7 +110,7 @@ class LocalGround:
         """A path found on a patch, with the nodes of the site that it sweeps."""
         if not self.finer:
             return path
-        poses = poses_along(path.plan, PLACES_M)
+        poses = poses_along(path.plan, PATH_STEP_M)
         return replace(path, swept=swept_nodes(path.footprint, self.surface.terrain, poses))
 
     def checked(self, path: PlannedPath) -> list[dict[str, Any]]:
@@ -125,7 +128,7 @@ class LocalGround:
 
 def _names(asked: PlanRequest) -> Sequence[str]:
     """The soil of a path on the maps, which alone may be laid over a local terrain's own."""
-    return asked.soil if asked.risk is None and asked.mission is None else ()
+    return asked.soil if asked.purpose == "path" else ()
 
 
 def likely_ground_of(site: SurveyedSite, *, exact: bool = True) -> Terrain:
@@ -133,11 +136,6 @@ def likely_ground_of(site: SurveyedSite, *, exact: bool = True) -> Terrain:
     as_read = replace(site.terrain, height_m=site.file.terrain.height_m, errors=None)
     likely = site.file.likely(as_read, site.rover.wheel.width_m)
     return replace(likely, errors=None) if exact else likely
-
-
-FRESH = 2
-"""Fresh soils for each one by which drives are chosen: 128 know a risk of 5 % to sqrt(0.05 x 0.95 / 128), 2 %."""
-SOURCES = ["Brown, Cai & DasGupta (2001), Statist. Sci. 16, 101, 10.1214/ss/1009213286"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -173,9 +171,8 @@ class ChosenDrive(TerrainSurvey):
         )
 
     @property
-    def untrusted(self) -> str:
-        parts = [] if self.choice.feasible else [self.why_none]
-        return "; ".join(part for part in (*parts, self.soils.doubt) if part)
+    def doubt(self) -> Doubt:
+        return Doubt.of("" if self.choice.feasible else self.why_none, self.soils.doubt)
 
     @property
     def why_none(self) -> str:
@@ -183,8 +180,8 @@ class ChosenDrive(TerrainSurvey):
         best, choice = self.choice.best, self.choice
         broken = ", ".join(one.short for one in best.broken)
         return (
-            f"no drive keeps a risk of {choice.risk:.3g}, so there is no plan.toml: drive {best.number}, the safest of "
-            f"{len(choice.candidates)}, fails with {best.stated.risk:.2g} ({best.stated.low:.2g} to "
+            f"no drive keeps a risk of {choice.risk.share:.3g}, so there is no plan.toml: drive {best.number}, the "
+            f"safest of {len(choice.candidates)}, fails with {best.stated.risk:.2g} ({best.stated.low:.2g} to "
             f"{best.stated.high:.2g}): {broken}"
         )
 
@@ -212,7 +209,7 @@ class ChosenDrive(TerrainSurvey):
             "gravity_m_s2": self.site.rover.gravity_m_s2,
             "soil": self.soils.record(),
             "choice": {
-                "risk": choice.risk,
+                "risk": choice.risk.share,
                 "prefer": choice.prefer,
                 "tolerance_m": self.tolerance_m,
                 "feasible": choice.feasible,
@@ -277,12 +274,12 @@ def _row(record: Mapping[str, Any]) -> dict[str, Any]:
     return {**plain, "localisation_updates": record["localisation_updates"], **chance, **marks, **worst}
 
 
-def chosen_drive(terrain: str | None, asked: PlanRequest, progress: Progress | None) -> ChosenDrive:
+def chosen_drive(terrain: str | None, asked: PlanRequest, risk: AcceptedRisk, progress: Progress | None) -> ChosenDrive:
     """Candidates to the target, driven over the soils that are believed, and the one to take.
 
     Raises DataError, RequestError, and ParameterError where no path leads there.
     """
-    check_asked(asked)
+    check_asked(asked, risk)
     given = GivenSoil.read(asked.soil)
     site = read_site(terrain, asked, given.named, asked.limits_of_ground())
     site.check.belief(given.name, given.belief)
@@ -295,9 +292,9 @@ def chosen_drive(terrain: str | None, asked: PlanRequest, progress: Progress | N
     check_soils(asked, given)
     (x0, y0, heading), (x, y, *_) = places_of(asked)
     search = RouteSearch.of(surface, site.rover, (x0, y0, heading), (x, y), final_heading_deg(asked))
-    plans = candidates_of(asked, site, search, given, progress, ground)
+    plans = candidates_of(asked, site, search, given, risk, progress, ground)
     soils, conditions, members = drive_conditions(asked, site, given, plans, ground)
-    choice = choose(plans, conditions, risk=asked.risk or 0.0, prefer=asked.prefer, members=members, progress=progress)
+    choice = choose(plans, conditions, risk=risk, prefer=asked.prefer, members=members, progress=progress)
     path = None
     if choice.feasible:
         path = local.on_site(measured_path(search, choice.best.plan))
@@ -309,16 +306,17 @@ def chosen_drive(terrain: str | None, asked: PlanRequest, progress: Progress | N
     )  # fmt: skip
 
 
-def check_asked(asked: PlanRequest) -> None:
+def check_asked(asked: PlanRequest, risk: AcceptedRisk) -> None:
     """Raises RequestError where so few drives can never promise the risk, and for a target that is too far away."""
     (x0, y0, _), (x, y, *_) = places_of(asked)
     if (far := math.hypot(x - x0, y - y0)) > LONG_M:
         raise RequestError(
             f"`target` is {far:.0f} m away, and `risk` compares drives of up to {LONG_M:g} m; give a nearer one"
         )
-    least = least_drives(asked.risk or 0.5)
-    if (asked.members or OF_A_BELIEF) < least:
-        raise RequestError(f"`risk` {asked.risk:g} takes {least} `members` or more; give them, or accept more risk")
+    if (asked.members or OF_A_BELIEF) < risk.least_drives:
+        raise RequestError(
+            f"`risk` {risk.share:g} takes {risk.least_drives} `members` or more; give them, or accept more risk"
+        )
 
 
 def check_soils(asked: PlanRequest, given: GivenSoil) -> None:
@@ -336,6 +334,7 @@ def candidates_of(
     site: SurveyedSite,
     search: RouteSearch,
     given: GivenSoil,
+    risk: AcceptedRisk,
     progress: Progress | None = None,
     ground: Terrain | None = None,
 ) -> tuple[Plan, ...]:
@@ -369,7 +368,7 @@ def candidates_of(
             exclusion_zones=zones,
             sweep=swept,
             crs=site.terrain.crs,
-            accepted_risk=asked.risk,
+            accepted_risk=risk,
         )
         for plan, zones in zip(plans, near, strict=True)
     )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import BoolArray
-from lunarsci.errors import DataError, LunarSciWarning, ParameterError
+from lunarsci.errors import DataError, LunarSciWarning, within_file
 from lunarsci.figure import file_label
 from lunarsci.io.inputs import InputFile, Source, read_input
 from lunarsci.options import request_of
@@ -18,7 +18,7 @@ from lunarsci.regolith.belief import SoilBelief, read_belief
 from lunarsci.regolith.columns import GROUND, ground_name, short_name, written_in
 from lunarsci.regolith.prior import Question, asked_in
 from lunarsci.regolith.states import StateTable
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import Doubt, MadeFrom, Result, job
 from lunarsci.rovers import DEFAULT_ROVER, read_rover, rover_names
 from lunarsci.twin.assimilation.residuals import DriveRecord, pace_of, read_drive_states, read_record
 from lunarsci.twin.comparison import verdict
@@ -84,17 +84,15 @@ class ComparedDrive(Result):
         return MadeFrom(inputs=self.inputs, tables=self.tables, sources=SOURCES, seed=self.seed, options=options)
 
     @property
-    def untrusted(self) -> str:
+    def doubt(self) -> Doubt:
         reasons, predicted = self.comparison.reasons, str(self.matched.forecast.soil.get("doubt") or "")
         paced, states = self.pace.doubt if self.pace else "", self.matched.record.doubt
         driven = f"another drive than the predicted one: {paced}" if paced else ""
         measured = f"doubtful states: {states}" if states else ""
-        doubted = f"the prediction is not to be trusted: {'; '.join(reasons)}" if reasons else ""
+        doubted = Doubt(tuple(reasons), "the prediction is not to be trusted")
         before = f"predicted from doubtful soils: {predicted}" if predicted else ""
         learned = "" if predicted else doubt_of("that learns", self.belief)
-        return "; ".join(
-            part for part in (*map(str, self.questions), doubted, driven, measured, before, learned) if part
-        )
+        return Doubt.of(*self.questions, doubted, driven, measured, before, learned)
 
     @property
     def verdict(self) -> str:
@@ -171,10 +169,8 @@ def compare(
         text = f"{source.name}: was made on '{driven}', and predicted on '{forecast.terrain}': is it the same drive?"
         warnings.warn(text, LunarSciWarning, stacklevel=2)
     record, independent = whole_record(table, fixes, built)
-    try:
+    with within_file(source.name):
         matched = match_observations(forecast, record, independent)
-    except ParameterError as error:
-        raise DataError(f"{source.name}: {error}") from error
     inputs |= {file.name: file.sha256 for file in (source, fixes) if file}
     lesson = None if asked.belief is None else read_input(asked.belief)
     before, after = (None, None) if lesson is None else _taught(matched, lesson, source)
@@ -244,7 +240,7 @@ def _taught(matched: MatchedObservations, belief: InputFile, states: InputFile) 
             f"{belief.name} has learned from {states.name} already; compare first, then update by the drive"
         )
     line = {"states": Path(states.name).name, "sha256": states.sha256, "plan": forecast.plan.name, "how": "comparison"}
-    return before, replace(before, discrepancy=taught(matched, before.discrepancy).with_score(**line))
+    return before, replace(before, discrepancy=taught(matched, before.discrepancy).with_source(**line))
 
 
 def _standing(standing: Standing | None) -> dict[str, Any]:

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, LunarSciWarning, RequestError
+from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, LunarSciWarning
 from lunarsci.io.inputs import InputFile
 from lunarsci.io.tables import csv_bytes
-from lunarsci.options import request_of
+from lunarsci.options import refuse_where, request_of
 from lunarsci.regolith.soil import read_soil
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import Doubt, MadeFrom, Result, job
 from lunarsci.twin.assimilation.residuals import read_drive_states
 from lunarsci.twin.drives.layouts import trials_in
 from lunarsci.twin.drives.replay import TrialScore, TrialSoils, WheelTurns, score_trial, summary_of
@@ -67,11 +67,13 @@ class ScoredTrials(Result):
         return self.failed
 
     @property
-    def untrusted(self) -> str:
+    def doubt(self) -> Doubt:
         doubtful = [trial.trial for trial in self.trials if trial.doubt]
         if not doubtful:
-            return ""
-        return f"the measured states of {len(doubtful)} of {len(self.trials)} trials are doubtful, first {doubtful[0]}"
+            return Doubt()
+        return Doubt.of(
+            f"the measured states of {len(doubtful)} of {len(self.trials)} trials are doubtful, first {doubtful[0]}"
+        )
 
     def to_dict(self) -> dict[str, Any]:
         kind, name = self.soils
@@ -108,8 +110,11 @@ def compare_trials(
     that cannot be used is told, and the others are scored. Raises BatchError where none can.
     """
     asked = request_of(TrialsRequest, request, options)
-    if given := [name for name in OF_A_PREDICTION if getattr(asked, name) is not None]:
-        raise RequestError(f"`{given[0]}` belongs to a prediction made before the drive, not to trials; leave it out")
+    refuse_where({
+        f"`{name}` belongs to a prediction made before the drive, not to trials; leave it out":
+            getattr(asked, name) is not None
+        for name in OF_A_PREDICTION
+    })  # fmt: skip
     given_soil = GivenSoil.read(asked.soil or PRIORS)
     soils, scores, failed = _soils(given_soil, asked), list["TrialScore"](), list[Failure]()
     (inputs, tables), names = soil_hashes(given_soil, None), list[str]()
@@ -142,15 +147,16 @@ def compare_trials(
 
 
 def _soils(given: GivenSoil, asked: TrialsRequest) -> TrialSoils:
-    if given.soil_map is not None:
-        raise RequestError(f"{given.name} as `soil` is a map of one site; give a belief, samples or a soil")
+    refuse_where({
+        f"{given.name} as `soil` is a map of one site; give a belief, samples or a soil": given.soil_map is not None,
+        f"`members` of one soil, {given.named}, are all alike; leave it out, or give soils to draw":
+            given.one_soil and asked.members is not None,
+    })  # fmt: skip
     if given.belief is not None:
         drawn = given.belief.draws(asked.members or OF_A_BELIEF, asked.seed)
         return TrialSoils(kind="belief", samples=drawn, discrepancy=given.belief.discrepancy)
     if given.file is not None:
         return TrialSoils(kind="samples", samples=read_soil_samples(given.file, asked.members, asked.seed))
-    if asked.members is not None:
-        raise RequestError(f"`members` of one soil, {given.named}, are all alike; leave it out, or give soils to draw")
     return TrialSoils(kind="one")
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from lunarsci.arrays import FloatArray
 from lunarsci.constants import LUNAR_GRAVITY
-from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
+from lunarsci.errors import DataError, LunarSciWarning, RequestError, within_option
 from lunarsci.heights import HeightUnit
 from lunarsci.io.documents import json_document
 from lunarsci.io.inputs import Source, read_input
@@ -18,6 +18,7 @@ from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.regolith.prior import Question, asked_in, prior_hash
 from lunarsci.regolith.soil import read_soil, soil_hash, soil_tables, unusual
 from lunarsci.regolith.states import StateTable
+from lunarsci.result import Doubt
 from lunarsci.rovers import DEFAULT_ROVER, RoverDescription, read_rover
 from lunarsci.twin.assimilation.segments import planned_places
 from lunarsci.twin.ground.driven_soil import (
@@ -46,6 +47,9 @@ SOURCES = [
     "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8",
     "Janosi & Hanamoto (1961), Proc. 1st Int. Conf. Mechanics of Soil-Vehicle Systems, Turin, 707",
 ]
+SOIL_TABLE = "soils.toml"
+OF_A_BELIEF = 64
+"""Drives on soils of a belief, or on draws of the ground, where their number is not given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -312,29 +316,14 @@ def soil_hashes(given: GivenSoil, driven: DrivenSoil | None) -> tuple[dict[str, 
 
 def parsed_fixes(text: str) -> Fixes:
     """What an option says of position fixes. Raises RequestError."""
-    try:
+    with within_option("fixes"):
         return parse_fixes(text)
-    except ParameterError as error:
-        raise RequestError(named_option("fixes", error)) from error
 
 
 def on_gravity(rover: Rover, gravity: str | None) -> Rover:
     """A rover where gravity is what an option says. Raises RequestError."""
-    try:
+    with within_option("gravity"):
         return with_gravity(rover, gravity)
-    except ParameterError as error:
-        raise RequestError(named_option("gravity", error)) from error
-
-
-def named_option(name: str, error: Exception) -> str:
-    """What is wrong with an option's value, with its name in backticks."""
-    text = str(error)
-    return f"`{name}`{text.removeprefix(name)}" if text.startswith(name) else f"`{name}`: {text}"
-
-
-SOIL_TABLE = "soils.toml"
-OF_A_BELIEF = 64
-"""Drives on soils of a belief, or on draws of the ground, where their number is not given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -415,12 +404,12 @@ class Soils:
             warnings.warn(text, LunarSciWarning, stacklevel=3)
 
     @property
-    def doubt(self) -> str:
-        """Why soils should not be driven on, by their fit, its law or the drives of their belief; empty if they may."""
+    def doubt(self) -> Doubt:
+        """Why soils should not be driven on, by their fit, its law or the drives of their belief."""
         fit = "" if self.verdict is None else doubt(self.verdict)
         inputs = self.inputs
         law = other_law(inputs.given.name, inputs.given.verdict, inputs.rover.name)
-        return "; ".join(part for part in (fit, law, inputs.doubt_of_belief) if part)
+        return Doubt.of(fit, law, inputs.doubt_of_belief)
 
     def warn_of_fit(self) -> None:
         """Say the doubt of a fit."""
@@ -469,7 +458,5 @@ class Soils:
 
 
 def _parsed_sweep(sweep: Sequence[str]) -> tuple[Sweep, ...]:
-    try:
+    with within_option("sweep"):
         return tuple(parse_sweep(text) for text in sweep)
-    except ParameterError as error:
-        raise RequestError(named_option("sweep", error)) from error

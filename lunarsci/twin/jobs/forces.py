@@ -9,7 +9,7 @@ import numpy as np
 from lunarsci.errors import RequestError
 from lunarsci.io.inputs import Source
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Result
+from lunarsci.result import Doubt, MadeFrom, Result
 from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, Soils, read_drive_inputs
 from lunarsci.twin.jobs.predict import predict_drives
 from lunarsci.twin.jobs.requests import DriveRequest
@@ -56,9 +56,8 @@ class DriveForces(Result):
         return MadeFrom(inputs=inputs.inputs, tables=inputs.tables, sources=SOURCES, seed=seed, options=inputs.options)
 
     @property
-    def untrusted(self) -> str:
-        early = f"not driven to the end: {'; '.join(self.failed)}" if self.failed else ""
-        return "; ".join(part for part in (early, self.soils.doubt) if part)
+    def doubt(self) -> Doubt:
+        return Doubt.of(Doubt(tuple(self.failed), "not driven to the end"), self.soils.doubt)
 
     @property
     def title(self) -> str:

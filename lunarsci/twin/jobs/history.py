@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import within_file
 from lunarsci.figure import file_label
 from lunarsci.io.inputs import InputFile, Source, read_input
 from lunarsci.options import request_of
@@ -19,7 +19,7 @@ from lunarsci.regolith.belief import (
     rolled_back,
 )
 from lunarsci.regolith.prior import PARAMETERS
-from lunarsci.result import MadeFrom, Result
+from lunarsci.result import Doubt, MadeFrom, Result
 from lunarsci.twin.ground.driven_soil import doubt_of
 from lunarsci.twin.jobs.requests import HistoryRequest
 
@@ -78,9 +78,9 @@ class BeliefHistory(Result):
         return any(bool(entry.get("synthetic")) for entry in self.belief.history)
 
     @property
-    def untrusted(self) -> str:
+    def doubt(self) -> Doubt:
         both = ((self.source, self.belief), (self.other_source, self.other))
-        return "; ".join(text for file, belief in both if file and (text := doubt_of(file.name, belief)))
+        return Doubt.of(*(doubt_of(file.name, belief) for file, belief in both if file))
 
     def to_dict(self) -> dict[str, Any]:
         back = self.rolled_back
@@ -126,7 +126,7 @@ def history(belief: Source, request: HistoryRequest | None = None, **options: An
     source = read_input(belief)
     other = None if asked.against is None else read_input(asked.against)
     one, two = read_belief(source), None if other is None else read_belief(other)
-    try:
+    with within_file(source.name):
         return BeliefHistory(
             source=source,
             belief=one,
@@ -137,8 +137,6 @@ def history(belief: Source, request: HistoryRequest | None = None, **options: An
             rollback=asked.rollback,
             rolled_back=None if asked.rollback is None else rolled_back(one, asked.rollback),
         )
-    except ParameterError as error:
-        raise DataError(f"{source.name}: {error}") from error
 
 
 def _drives(belief: SoilBelief) -> list[dict[str, Any]]:

@@ -13,7 +13,7 @@ from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
 from lunarsci.regolith.prior import PARAMETERS, prior_hash
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import Doubt, MadeFrom, Result, job
 from lunarsci.twin.ground.driven_soil import DrivenSoil, doubt_of, soil_record
 from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
 from lunarsci.twin.jobs.forces import load_record
@@ -68,8 +68,8 @@ class MotionLoads(Result):
         return MadeFrom(inputs=inputs.inputs, tables=inputs.tables, sources=SOURCES, options=inputs.options)
 
     @property
-    def untrusted(self) -> str:
-        return "; ".join(filter(None, (*map(str, self.inputs.questions), self.forces.doubt)))
+    def doubt(self) -> Doubt:
+        return Doubt.of(*self.inputs.questions, self.forces.doubt)
 
     @property
     def title(self) -> str:
@@ -143,9 +143,9 @@ class UncertainLoads(Result):
         return MadeFrom(inputs=inputs.inputs, tables=tables, sources=sources, seed=self.seed, options=inputs.options)
 
     @property
-    def untrusted(self) -> str:
+    def doubt(self) -> Doubt:
         of_forces = self.forces.doubt or (self.forces.doubt_of_soils if self.turned is None else self.turned.doubt)
-        return "; ".join(part for part in (*map(str, self.inputs.questions), of_forces, self.doubt_of_belief) if part)
+        return Doubt.of(*self.inputs.questions, of_forces, self.doubt_of_belief)
 
     @property
     def title(self) -> str:

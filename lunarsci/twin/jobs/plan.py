@@ -12,7 +12,7 @@ from lunarsci.errors import ParameterError, RequestError
 from lunarsci.io.inputs import read_input
 from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Progress, job
+from lunarsci.result import Doubt, MadeFrom, Progress, job
 from lunarsci.twin.assimilation.segments import planned_places
 from lunarsci.twin.ground.driven_soil import GivenSoil
 from lunarsci.twin.ground.hazards import ExclusionZone, Traversability, near_way, rover_footprint
@@ -32,7 +32,7 @@ from lunarsci.twin.jobs.plan_request import (
 from lunarsci.twin.jobs.requests import PlanRequest
 from lunarsci.twin.jobs.terrain import SurveyedSite, TerrainSurvey, read_site
 from lunarsci.twin.judgement.choice import Conditions
-from lunarsci.twin.judgement.keeping import Chance, keeps_limits
+from lunarsci.twin.judgement.keeping import keeps_limits
 from lunarsci.twin.judgement.quantities import least_of_95
 from lunarsci.twin.mission.mission import (
     DrivenMission,
@@ -45,6 +45,7 @@ from lunarsci.twin.mission.mission import (
 )
 from lunarsci.twin.plans.path import poses_along
 from lunarsci.twin.plans.plan import Leg, Plan, plan_text, read_plan
+from lunarsci.twin.plans.risk import USUAL, AcceptedRisk, Chance
 from lunarsci.twin.routes.candidates import candidate_plans
 from lunarsci.twin.routes.long_way import way_to
 from lunarsci.twin.routes.planner import PlannedPath
@@ -54,8 +55,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-ACCEPTED = 0.05
-"""Chance that a mission is not kept that is accepted where none is given; assumed."""
 WIDER = 2.0
 """Circles to keep out of grow by so many standard errors of a localised position; assumed."""
 LOOKED_AT_M = 0.5
@@ -72,14 +71,14 @@ class PlannedMission(TerrainSurvey):
     ----------
     soils : what is driven on.
     driven : legs, and what becomes of the targets.
-    risk : chance that the mission is not kept that is accepted. [-]
+    risk : chance that the mission is not kept that is accepted.
     file : of the mission, and its hash.
     """
 
     schema: ClassVar[str] = "twin-mission/1"
     soils: Soils
     driven: DrivenMission
-    risk: float
+    risk: AcceptedRisk
     file: tuple[str, str]
 
     @property
@@ -90,7 +89,7 @@ class PlannedMission(TerrainSurvey):
             inputs={**made.inputs, **inputs.inputs, self.file[0]: self.file[1]},
             sources=[*dict.fromkeys([*made.sources, *OF_DRIVES, *SOURCES])],
             seed=self.soils.seed,
-            options={**made.options, **inputs.options, "risk": self.risk},
+            options={**made.options, **inputs.options, "risk": self.risk.share},
         )
 
     @property
@@ -99,12 +98,13 @@ class PlannedMission(TerrainSurvey):
         return chance_of(self.driven.safe)
 
     @property
-    def untrusted(self) -> str:
+    def doubt(self) -> Doubt:
         missed = next((one for one in self.driven.targets if one.fate != "reached"), None)
         parts = [] if missed is None else [f"target '{missed.target.name}' is not reached, {missed.fate}: {missed.why}"]
-        if missed is None and self.chance.risk > self.risk:
-            parts = [f"the mission is not kept with a chance of {self.chance.risk:.2g}, {self.risk:g} is accepted"]
-        return "; ".join(part for part in (*parts, self.soils.doubt) if part)
+        if missed is None and not self.risk.accepts(self.chance):
+            chance, accepted = self.chance.risk, self.risk.share
+            parts = [f"the mission is not kept with a chance of {chance:.2g}, {accepted:g} is accepted"]
+        return Doubt.of(*parts, self.soils.doubt)
 
     def to_dict(self) -> dict[str, Any]:
         driven, mission = self.driven, self.driven.mission
@@ -115,7 +115,7 @@ class PlannedMission(TerrainSurvey):
             "soil": self.soils.record(),
             "mission": {
                 "name": mission.name,
-                "risk": self.risk,
+                "risk": self.risk.share,
                 "members": int(driven.safe.size),
                 "kept": self.chance.to_dict(),
                 "last_target": reached[-1] if reached else None,
@@ -255,7 +255,7 @@ def planned_mission(terrain: str | None, asked: PlanRequest, progress: Progress 
         power=planned_power(asked),
         progress=progress,
     )
-    risk = ACCEPTED if asked.risk is None else asked.risk
+    risk = USUAL if asked.risk is None else AcceptedRisk(asked.risk)
     return PlannedMission(
         site=site, surface=surface, soils=soils, driven=driven, risk=risk, file=(source.name, source.sha256)
     )
@@ -367,10 +367,10 @@ def plan(
     Raises DataError and RequestError, and ParameterError where there is no such path.
     """
     asked = request_of(PlanRequest, request, options)
-    if asked.mission is not None:
+    if asked.purpose == "mission":
         return planned_mission(terrain, asked, progress)
     if asked.risk is not None:
-        return chosen_drive(terrain, asked, progress)
+        return chosen_drive(terrain, asked, AcceptedRisk(asked.risk), progress)
 
     if asked.soil and (several := GivenSoil.read(asked.soil)).file is not None:
         raise RequestError(

@@ -6,19 +6,19 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from lunarsci.errors import ParameterError, RequestError
+from lunarsci.errors import within_option
 from lunarsci.io.inputs import Source
 from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
 from lunarsci.provenance import sha256, to_json
 from lunarsci.regolith.prior import Question
-from lunarsci.result import MadeFrom, Progress, Result, job
+from lunarsci.result import Doubt, MadeFrom, Progress, Result, job
 from lunarsci.twin.assimilation.segments import planned_places
 from lunarsci.twin.comparison.forecast import FILE, forecast_document, forecast_of
 from lunarsci.twin.ground.finer_ground import Unresolved, with_unresolved
 from lunarsci.twin.ground.hazards import read_mobility
 from lunarsci.twin.ground.illumination import parse_sun
-from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, Soils, named_option, read_drive_inputs
+from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, Soils, read_drive_inputs
 from lunarsci.twin.jobs.requests import PoweredRequest, PredictRequest
 from lunarsci.twin.judgement import tables as judged
 from lunarsci.twin.judgement.endpoint import (
@@ -33,6 +33,7 @@ from lunarsci.twin.judgement.energy import PowerUse, energy_record, power_record
 from lunarsci.twin.judgement.safety import Verdict, judge, undecided
 from lunarsci.twin.judgement.tables import check_loads
 from lunarsci.twin.plans.plan import Plan
+from lunarsci.twin.plans.risk import AcceptedRisk
 from lunarsci.twin.simulation.discrepancy import with_discrepancy
 from lunarsci.twin.simulation.ensemble import PowerState, Prediction
 
@@ -48,10 +49,8 @@ def power_of(request: PoweredRequest) -> PowerState | None:
     """Battery and light; None where neither is given. Raises RequestError."""
     if request.sun is None and request.charge is None:
         return None
-    try:
+    with within_option("sun"):
         sun = None if request.sun is None else parse_sun(request.sun)
-    except ParameterError as error:
-        raise RequestError(named_option("sun", error)) from error
     return PowerState(charge=1.0 if request.charge is None else request.charge, sun=sun)
 
 
@@ -97,17 +96,15 @@ class PredictedDrives(Result):
         return MadeFrom(inputs=inputs.inputs, tables=inputs.tables, sources=SOURCES, seed=seed, options=options)
 
     @property
-    def untrusted(self) -> str:
-        verdict = self.verdict
-        parts = [] if verdict.verdict == "go" else [f"{verdict.verdict}: {'; '.join(verdict.reasons)}"]
-        return "; ".join(part for part in (*parts, self.soils.doubt) if part)
+    def doubt(self) -> Doubt:
+        return Doubt.of(self.verdict.doubt, self.soils.doubt)
 
     def to_dict(self) -> dict[str, Any]:
         prediction, fitted, before = self.prediction, self.soils.verdict, self.inputs.before
         swept = prediction.parameters.items()
         return {
             **asdict(self.verdict),
-            "doubt": self.soils.doubt or None,
+            "doubt": str(self.soils.doubt) or None,
             "chance": self.verdict.chance.to_dict(),
             **self.inputs.about(),
             "members": prediction.members,
@@ -201,7 +198,7 @@ def predict(
     questions = inputs.asked(heights=asked.heights_without_unit, as_written=asked.as_written).questions
     inputs, unresolved = (inputs, None) if asked.exact_terrain else _rough(inputs, asked.seed or 0)
     if asked.risk is not None:
-        inputs = replace(inputs, plan=replace(inputs.plan, accepted_risk=asked.risk))
+        inputs = replace(inputs, plan=replace(inputs.plan, accepted_risk=AcceptedRisk(asked.risk)))
     soils = Soils.of(inputs, asked.sweep or None, asked.members, asked.seed or 0)
     soils.warn_of_seed(asked.seed)
     prediction = predict_drives(soils, asked.time_step, asked.sample, progress)

@@ -10,8 +10,29 @@ from typing import Any, Literal
 
 from lunarsci.errors import RequestError
 from lunarsci.heights import HeightUnit
-from lunarsci.options import check_intervals
-from lunarsci.ranges import CHANCE, POSITIVE, SHARE
+from lunarsci.options import check_intervals, refuse_where
+from lunarsci.ranges import CHANCE, POSITIVE, SHARE, refuse
+
+MADE = {
+    "seed": "seed",
+    "spacing": "spacing_m",
+    "rocks": "rock_share",
+    "roughness": "rms_m",
+    "extent": "extent_m",
+    "ground_slope": "slope_deg",
+    "craters": "craters",
+}
+"""Options of synthetic ground, and what its makers call them."""
+OF_LONGJI = ("seed", "spacing", "rocks", "roughness")
+MAKERS = {"synthetic-longji": OF_LONGJI, "synthetic": tuple(MADE)}
+PLACE = ("X", "Y", "HEADING")
+OF_A_CHOICE = ("sweep", "members", "tolerance", "candidates", "fixes", "prefer", "exact_terrain", "charge")
+"""Options that ask for something only beside `risk`."""
+IN_A_MISSION = ("target", "start", "lonlat", "tolerance", "candidates", "fixes", "prefer")
+"""Options that a mission has in its file, or no use for."""
+LONGEST_LAG_S = 30.0
+"""Beyond which clocks are to be set, as with `start_time`; assumed. [s]"""
+UNCERTAIN = ("states", "belief", "draws", "correlation", "balance_error", "iterate")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,24 +64,6 @@ class RoverOnGround:
     def ground(self) -> tuple[str | None, str | None, str, HeightUnit | None, str | None]:
         """The same in the order of `read_drive_inputs`."""
         return self.rover, self.terrain, self.interpolation, self.height_unit, self.gravity
-
-
-MADE = {
-    "seed": "seed",
-    "spacing": "spacing_m",
-    "rocks": "rock_share",
-    "roughness": "rms_m",
-    "extent": "extent_m",
-    "ground_slope": "slope_deg",
-    "craters": "craters",
-}
-"""Options of synthetic ground, and what its makers call them."""
-
-
-OF_LONGJI = ("seed", "spacing", "rocks", "roughness")
-
-
-MAKERS = {"synthetic-longji": OF_LONGJI, "synthetic": tuple(MADE)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,17 +147,6 @@ class TerrainRequest(GroundRequest):
 Place = str | tuple[float, ...]
 
 
-PLACE = ("X", "Y", "HEADING")
-
-
-OF_A_CHOICE = ("sweep", "members", "tolerance", "candidates", "fixes", "prefer", "exact_terrain", "charge")
-"""Options that ask for something only beside `risk`."""
-
-
-IN_A_MISSION = ("target", "start", "lonlat", "tolerance", "candidates", "fixes", "prefer")
-"""Options that a mission has in its file, or no use for."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanRequest(GroundRequest):
     """Where to plan a path to, with what rover, and on what ground.
@@ -210,38 +202,46 @@ class PlanRequest(GroundRequest):
 
     def __post_init__(self) -> None:
         check_intervals(self, {SHARE: "charge", CHANCE: "risk"})
-        if self.mission is not None:
+        if self.purpose == "mission":
             self._check_mission()
             return
-        if not self.target:
-            raise RequestError("`target` says where the path shall end; give X,Y or X,Y,HEADING")
-        if self.start_files and self.lonlat:
-            raise RequestError(f"`start` {self.start} is in m, and `lonlat` in deg; give its longitude and latitude")
+        refuse_where({
+            "`target` says where the path shall end; give X,Y or X,Y,HEADING": not self.target,
+            f"`start` {self.start} is in m, and `lonlat` in deg; give its longitude and latitude":
+                self.lonlat and bool(self.start_files),
+        })  # fmt: skip
         for name, counts in (("start", (3,)), ("target", (2, 3))):
             if name == "target" or not self.start_files:
                 object.__setattr__(self, name, _numbers(name, getattr(self, name), counts))
-        if self.risk is None:
+        if self.purpose == "path":
             self._check_path()
         else:
             check_intervals(self, {"[2, inf)": "members", "[1, inf)": "candidates", POSITIVE: "tolerance"})
 
     def _check_mission(self) -> None:
         """Of a mission the file says where."""
-        defaults = {field.name: field.default for field in fields(self)}
-        for name in IN_A_MISSION:
-            if getattr(self, name) != defaults[name]:
-                raise RequestError(f"`{name}` and `mission` do not go together: the mission's file says where; "
-                                   "give one of them")  # fmt: skip
+        refuse((
+            f"`{name}` and `mission` do not go together: the mission's file says where; give one of them"
+            for name in self._given(IN_A_MISSION)
+        ), kind=RequestError)  # fmt: skip
         check_intervals(self, {"[2, inf)": "members"})
 
     def _check_path(self) -> None:
         """Without a risk nothing is chosen."""
+        refuse_where({
+            **{f"`{one}` is for drives that are compared; give `risk`, too": True for one in self._given(OF_A_CHOICE)},
+            "several soils are for drives that are compared; give `risk`, too, or one `soil`": len(self.soil) > 1,
+        })  # fmt: skip
+
+    def _given(self, names: tuple[str, ...]) -> list[str]:
+        """Those of some options that are not as they are without being given."""
         defaults = {field.name: field.default for field in fields(self)}
-        for name in OF_A_CHOICE:
-            if getattr(self, name) != defaults[name]:
-                raise RequestError(f"`{name}` is for drives that are compared; give `risk`, too")
-        if len(self.soil) > 1:
-            raise RequestError("several soils are for drives that are compared; give `risk`, too, or one `soil`")
+        return [name for name in names if getattr(self, name) != defaults[name]]
+
+    @property
+    def purpose(self) -> Literal["path", "choice", "mission"]:
+        """What is planned: a path alone, the choice of a drive by its risk, or a mission of several legs."""
+        return "mission" if self.mission is not None else "path" if self.risk is None else "choice"
 
     @property
     def start_files(self) -> tuple[str, ...]:
@@ -263,7 +263,7 @@ class PlanRequest(GroundRequest):
 
     def made(self, terrain: str) -> dict[str, Any]:
         """As of a ground; where soils are drawn the seed is theirs, too."""
-        alone = (self.risk is None and self.mission is None) or terrain in MAKERS
+        alone = self.purpose == "path" or terrain in MAKERS
         return GroundRequest.made(self if alone else replace(self, seed=None), terrain)
 
     def limits_of_ground(self) -> dict[str, float | None]:
@@ -391,10 +391,6 @@ class SimulateDriveRequest(RoverOnGround):
     sample: float = 0.05
 
 
-LONGEST_LAG_S = 30.0
-"""Beyond which clocks are to be set, as with `start_time`; assumed. [s]"""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StatesRequest(RoverOnGround):
     """What telemetry is read with.
@@ -429,9 +425,6 @@ class StatesRequest(RoverOnGround):
         return -inf if self.since is None else self.since, inf if self.until is None else self.until
 
 
-UNCERTAIN = ("states", "belief", "draws", "correlation", "balance_error", "iterate")
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoadsRequest(RoverOnGround):
     """What a motion is held with; `states`, `belief` and the options after them make soil and motion uncertain.
@@ -463,12 +456,14 @@ class LoadsRequest(RoverOnGround):
     as_written: bool = False
 
     def __post_init__(self) -> None:
-        if not self.uncertain and self.seed is not None:
-            raise RequestError("`seed` draws nothing here; give `draws` or `belief`, or leave it out")
-        if self.uncertain and self.soil is not None:
-            raise RequestError("`soil` has no use beside soils drawn from `belief` or the priors; leave it out")
-        if self.iterate is not None and self.states is None:
-            raise RequestError("`iterate` learns from measured sinkages and slips; give `states`")
+        refuse_where({
+            "`seed` draws nothing here; give `draws` or `belief`, or leave it out":
+                not self.uncertain and self.seed is not None,
+            "`soil` has no use beside soils drawn from `belief` or the priors; leave it out":
+                self.uncertain and self.soil is not None,
+            "`iterate` learns from measured sinkages and slips; give `states`":
+                self.iterate is not None and self.states is None,
+        })  # fmt: skip
 
     @property
     def uncertain(self) -> bool:
@@ -484,8 +479,8 @@ class UpdateRequest(RoverOnGround):
     ----------
     plan : Plan that was driven (TOML); the embedded one if left out.
     positions : Positions from localisation (CSV): time_s, x_m, y_m, and errors as in `twin states`.
-    soil : What was believed before (JSON): a belief, or a soil map, which keeps the soil by place; the priors if left
-        out.
+    soil : What was believed before: a belief or a soil map (JSON), which keeps the soil by place, or a file of priors;
+        the priors if left out.
     forget : Share of the way back to the first priors, for ground further on.
     by_place : whether the soil is kept by place, as it is where `soil` is a map.
     correlation : Distance in m over which soils are alike; the map's, or 5, if left out.
@@ -508,8 +503,12 @@ class UpdateRequest(RoverOnGround):
     as_written: bool = False
 
     def __post_init__(self) -> None:
-        if self.forget and self.soil is None:
-            raise RequestError("`forget` has nothing to forget, as the priors are believed; give `soil`")
+        refuse_where({
+            "`forget` has nothing to forget, as the priors are believed; give `soil`":
+                bool(self.forget) and self.soil is None,
+            "`correlation` is of a soil map; give one as `soil`, or save one":
+                self.correlation is not None and self.soil is None and not self.by_place,
+        })  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -581,8 +580,9 @@ class SweepRequest(PoweredRequest):
 
     def __post_init__(self) -> None:
         PoweredRequest.__post_init__(self)
-        if not self.vary:
-            raise RequestError("nothing to vary; give `vary` NAME=LOW:HIGH:N, for example wheel.radius_m=0.10:0.20:5")
+        refuse_where({
+            "nothing to vary; give `vary` NAME=LOW:HIGH:N, for example wheel.radius_m=0.10:0.20:5": not self.vary
+        })  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,7 +11,7 @@ from lunarsci.errors import RequestError
 from lunarsci.io.inputs import Source
 from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Result
+from lunarsci.result import Doubt, MadeFrom, Result
 from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
 from lunarsci.twin.jobs.requests import SimulateDriveRequest
 from lunarsci.twin.judgement.tables import state_table
@@ -42,9 +42,9 @@ class MadeUpDrive(Result):
         return MadeFrom(inputs=inputs.inputs, tables=inputs.tables, sources=SOURCES, seed=seed, options=options)
 
     @property
-    def untrusted(self) -> str:
+    def doubt(self) -> Doubt:
         driven = self.drive.prediction
-        return "" if driven.finished[0] else f"the drive did not reach its end: {driven.outcome_text(0)}"
+        return Doubt.of("" if driven.finished[0] else f"the drive did not reach its end: {driven.outcome_text(0)}")
 
     def to_dict(self) -> dict[str, Any]:
         telemetry, errors = self.drive.telemetry, asdict(self.drive.errors)

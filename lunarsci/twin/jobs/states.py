@@ -12,7 +12,7 @@ from lunarsci.io.inputs import Source, open_input, read_input
 from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
 from lunarsci.regolith.soil import read_soil
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import Doubt, MadeFrom, Result, job
 from lunarsci.twin.drives.layouts import read_public_drive
 from lunarsci.twin.ground.terrain import Terrain, read_terrain
 from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
@@ -61,8 +61,8 @@ class MeasuredStates(Result):
         )
 
     @property
-    def untrusted(self) -> str:
-        return self.drive.findings.doubt
+    def doubt(self) -> Doubt:
+        return Doubt.of(self.drive.findings.doubt)
 
     @property
     def title(self) -> str:

@@ -5,11 +5,11 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.constants import PAPER
-from lunarsci.errors import ParameterError, RequestError
+from lunarsci.errors import RequestError, within_option
 from lunarsci.io.inputs import Source
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Progress, Result, job
-from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, Soils, named_option, read_drive_inputs
+from lunarsci.result import Doubt, MadeFrom, Progress, Result, job
+from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, Soils, read_drive_inputs
 from lunarsci.twin.jobs.predict import power_of
 from lunarsci.twin.jobs.requests import SweepRequest
 from lunarsci.twin.judgement.designs import (
@@ -63,9 +63,9 @@ class DesignTrade(Result):
         return MadeFrom(inputs=inputs, tables=first.tables, sources=sources, seed=seed, options=first.options)
 
     @property
-    def untrusted(self) -> str:
+    def doubt(self) -> Doubt:
         none = "" if any(design.outcome for design in self.designs) else "no design is possible"
-        return "; ".join(part for part in (none, self.soils[0].doubt) if part)
+        return Doubt.of(none, self.soils[0].doubt)
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -111,12 +111,10 @@ def sweep(
     asked = request_of(SweepRequest, request, options)
     soils = _mission(plans, asked)
     inputs = [one.inputs for one in soils]
-    try:
+    with within_option("vary"):
         variations = tuple(parse_variation(text) for text in asked.vary)
         check_names(variations, inputs[0].description, [one.plan for one in inputs])
         values = design_values(variations, asked.designs, asked.seed or 0)
-    except ParameterError as error:
-        raise RequestError(named_option("vary", error)) from error
     drive = _driver(soils, asked)
     designs = []
     for number, one in enumerate(values):

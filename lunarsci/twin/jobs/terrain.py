@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from lunarsci.errors import ParameterError, RequestError
+from lunarsci.errors import ParameterError, RequestError, within_option
 from lunarsci.heights.projections import lonlat_of, projection_notes
 from lunarsci.io.inputs import read_input
 from lunarsci.io.tables import csv_bytes
@@ -68,10 +68,8 @@ def light_of(request: GroundRequest) -> tuple[tuple[float, float] | None, float 
         azimuth, elevation = (float(part) for part in request.sun.split(","))
     except ValueError as error:
         raise RequestError(f"`sun` '{request.sun}' is not AZIMUTH,ELEVATION in deg") from error
-    try:
+    with within_option("shadow_cost"):
         return (azimuth, elevation), None if request.shadow_cost is None else parse_cost(request.shadow_cost)
-    except ParameterError as error:
-        raise RequestError(f"`shadow_cost` {error}") from error
 
 
 def costs_of(request: GroundRequest) -> dict[float, float]:

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 from lunarsci.errors import DataError, LunarSciWarning, RequestError
 from lunarsci.figure import as_label
 from lunarsci.io.inputs import InputFile, Source, read_input
-from lunarsci.options import request_of
-from lunarsci.regolith.belief import SoilBelief, contact_rows, first_belief, parameter_rows, read_belief, with_drive
+from lunarsci.options import refuse_where, request_of
+from lunarsci.regolith.belief import SoilBelief, contact_rows, parameter_rows, with_drive
 from lunarsci.regolith.prior import PARAMETERS, asked_in, prior_hash
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import Doubt, MadeFrom, Result, job
 from lunarsci.twin.assimilation.residuals import DriveRecord, pace_of, read_drive_states, read_record
 from lunarsci.twin.assimilation.segments import Segment, SoilChange, drive_segments, find_change, planned_places
 from lunarsci.twin.assimilation.update import SlipLean, SoilUpdate, assimilate
-from lunarsci.twin.ground.driven_soil import PRIORS, DrivenSoil, doubt_of, soil_record
-from lunarsci.twin.ground.soil_map import SCHEMA, SoilMap, Zone, read_soil_map, soil_layers, soil_map_bytes
+from lunarsci.twin.ground.driven_soil import PRIORS, DrivenSoil, GivenSoil, doubt_of, soil_record
+from lunarsci.twin.ground.soil_map import SoilMap, Zone, soil_layers, soil_map_bytes
 from lunarsci.twin.ground.terrain import terrain_bytes
 from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
 from lunarsci.twin.jobs.requests import UpdateRequest
@@ -28,9 +28,6 @@ if TYPE_CHECKING:
 
 
 SAMPLER = "Christen & Fox (2005), J. Comput. Graph. Stat. 14, 795"
-
-
-NO_MAP = "`correlation` is of a soil map; give one as `soil`, or save one"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -51,21 +48,25 @@ class Before:
     @classmethod
     def read(cls, asked: UpdateRequest, inputs: DriveInputs) -> "Before":
         """Read a belief or a map. Raises DataError, RequestError for options that do not fit what it is."""
-        file = None if asked.soil in (None, PRIORS) else read_input(asked.soil)
-        of_map = file is not None and SCHEMA.encode() in file.data
-        if file is not None and not of_map and asked.by_place:
-            raise RequestError("`soil` is of one soil everywhere; give a map, or leave the map's options out")
-        if asked.correlation is not None and not (of_map or asked.by_place):
-            raise RequestError(NO_MAP)
-        soil_map, belief = None, first_belief() if file is None or of_map else read_belief(file)
-        if of_map or asked.by_place:
+        given = GivenSoil.of_source(PRIORS if asked.soil is None else asked.soil)
+        file, belief, soil_map = None if given.name == PRIORS else given.file, given.belief, given.soil_map
+        refuse_where({
+            "`soil` is of one soil everywhere; give a map, or leave the map's options out":
+                file is not None and soil_map is None and asked.by_place,
+            "`correlation` is of a soil map; give one as `soil`, or save one":
+                asked.correlation is not None and soil_map is None and not asked.by_place,
+        })  # fmt: skip
+        if soil_map is None and asked.by_place:
             across = abs(inputs.rover.wheel_positions_m[:, 1]).max() + 0.5 * inputs.rover.wheel.width_m
-            soil_map = read_soil_map(file) if file is not None else SoilMap(reach_m=round(float(across), 3))
-            if asked.correlation is not None:
-                soil_map = replace(soil_map, correlation_m=asked.correlation)
+            soil_map = SoilMap(reach_m=round(float(across), 3))
+        if soil_map is not None and asked.correlation is not None:
+            soil_map = replace(soil_map, correlation_m=asked.correlation)
+        if soil_map is not None:
             belief = soil_map.belief_along(planned_places(inputs.plan, inputs.rover))
+        if belief is None:
+            raise DataError(f"{given.named or given.name}: no belief; give one of `twin update`, its map, or priors")
         doubt = "" if file is None or asked.forget == 1.0 else doubt_of(file.name, belief)
-        belief = belief.inflated(asked.forget) if asked.forget else belief
+        belief = belief.forgotten(asked.forget) if asked.forget else belief
         believed = file is not None and soil_map is None and asked.forget < 1.0
         return cls(belief=belief, soil_map=soil_map, file=file, doubt=doubt, believed=believed)
 
@@ -123,16 +124,15 @@ class LearnedSoil(Result):
         return MadeFrom(inputs=inputs.inputs, tables=tables, sources=sources, seed=self.seed, options=inputs.options)
 
     @property
-    def untrusted(self) -> str:
-        asked = [*map(str, self.inputs.questions)]
+    def doubt(self) -> Doubt:
+        questions = self.inputs.questions
         if self.segments is not None:
             if not any(segment.learned for segment in self.segments):
-                return f"nothing was learned: {self.segments[0].why_not}"
+                return Doubt.of(f"nothing was learned: {self.segments[0].why_not}")
         elif self.update.refused:
-            return "; ".join(
-                [*asked, f"nothing was learned: {self.update.refused}", *(change.text for change in self.changes)]
-            )
-        return "; ".join(part for part in (*asked, *self.doubts, self.before.doubt) if part)
+            nothing = f"nothing was learned: {self.update.refused}"
+            return Doubt.of(*questions, nothing, *(change.text for change in self.changes))
+        return Doubt.of(*questions, *self.doubts.reasons, self.before.doubt)
 
     @property
     def forces_measured(self) -> bool:
@@ -140,13 +140,13 @@ class LearnedSoil(Result):
         return bool((self.record.values[:, 3:] == self.record.values[:, 3:]).any())
 
     @property
-    def doubts(self) -> list[str]:
+    def doubts(self) -> Doubt:
         """Why what was learned is doubtful, each reason once."""
         parts = [self.update] if self.segments is None else [one.update for one in self.segments if one.learned]
         texts = [self.record.doubt, self.pace.doubt if self.pace else "", *(part.doubt for part in parts if part)]
         leans = [self.slip] if self.segments is None else [one.slip for one in self.segments]
         texts += [lean.doubt for lean in leans if lean]
-        return list(dict.fromkeys(text for text in texts if text))
+        return Doubt.of(*dict.fromkeys(texts))
 
     def to_dict(self) -> dict[str, Any]:
         learned, soil_map = self.update, self.soil_map
@@ -163,7 +163,7 @@ class LearnedSoil(Result):
             "surprise": learned.prior_shift,
             "persistence": learned.autocorrelation,
             "refused": learned.refused or None,
-            "doubt": "; ".join(self.doubts) or None,
+            "doubt": str(self.doubts) or None,
             "caution": "; ".join(self.before.cautions(learned)) or None,
             "pace": None if self.pace is None else self.pace.to_dict(),
             "slip_ratio": None if self.slip is None else self.slip.to_dict(),
@@ -229,8 +229,6 @@ def update(
     Raises DataError for files that cannot be used and a drive that counted before, RequestError for impossible options.
     """
     asked = request_of(UpdateRequest, request, options)
-    if asked.correlation is not None and asked.soil is None and not asked.by_place:
-        raise RequestError(NO_MAP)
     inputs = read_drive_inputs(asked.plan, *asked.ground, soil_counts=False)
     source, fixes = read_input(states), None if asked.positions is None else read_input(asked.positions)
     table = read_drive_states(source, inputs.rover)
@@ -259,7 +257,7 @@ def update(
         change = find_change(along, learned, seed=asked.seed)
         changes = [] if change is None else [change]
     else:
-        segments, changes = drive_segments(*drive, along, learned, before.soil_map, forget=asked.forget, **drawing)
+        segments, changes = drive_segments(*drive, along, learned, before.soil_map, forgotten=asked.forget, **drawing)
         zones = [_zone(segment, line) for segment in segments if segment.learned]
         soil_map = before.soil_map.with_zones(zones)
     return LearnedSoil(
@@ -297,7 +295,7 @@ class _DrivenLine:
                 "ruts": learned.prediction.ruts,
                 "surprise": learned.prior_shift,
                 "refused": learned.refused,
-                "doubt": "; ".join(text for text in doubts if text),
+                "doubt": str(Doubt.of(*doubts)),
             }
             | ({"caution": caution} if caution else {})
             | ({"synthetic": True} if self.inputs.terrain.synthetic else {})
@@ -305,7 +303,7 @@ class _DrivenLine:
 
 
 def _with_history(
-    learned: SoilUpdate, before: Before, drive: _DrivenLine, forget: float, *, scored: bool
+    learned: SoilUpdate, before: Before, drive: _DrivenLine, forgotten: float, *, scored: bool
 ) -> SoilUpdate:
     """The belief with the drive in its history; its discrepancy says that it rests on the drive's end, if `scored`."""
     belief, law, states = learned.belief, learned.belief.discrepancy, drive.states
@@ -316,11 +314,11 @@ def _with_history(
             "plan": drive.inputs.plan.name,
             "how": "own end",
         }
-        belief = replace(belief, discrepancy=law.with_score(**line))
+        belief = replace(belief, discrepancy=law.with_source(**line))
     of_belief = before.file is not None and before.soil_map is None
     parent = before.file.sha256 if of_belief and before.file else None
     entry = drive.of(learned)
-    return replace(learned, belief=with_drive(belief, before.belief, entry, parent_sha256=parent, forgotten=forget))
+    return replace(learned, belief=with_drive(belief, before.belief, entry, parent_sha256=parent, forgotten=forgotten))
 
 
 def _zone(segment: Segment, drive: _DrivenLine) -> Zone:

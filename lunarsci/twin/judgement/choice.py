@@ -1,8 +1,5 @@
-"""What all candidates meet alike: the same soils, grounds and errors for each of them.
-
-The chance that a drive keeps all its limits, counted over soils, and where it comes nearest to breaking one.
-
-The choice among drives: all are driven on the same soils, hopeless ones stop early, the best are driven again.
+"""The choice among drives to a target: all are driven on the same soils, grounds and errors, each is held against its
+limits, hopeless ones stop early, and the best are driven again on fresh soils.
 """
 
 import dataclasses
@@ -20,14 +17,28 @@ from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.result import Progress
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.judgement.energy import expected_energy_j
-from lunarsci.twin.judgement.keeping import CONFIDENCE, Chance, broken, extremes, least_drives, limited, limits_judged
+from lunarsci.twin.judgement.keeping import broken, extremes, limited, limits_judged
 from lunarsci.twin.judgement.quantities import least_of_95
 from lunarsci.twin.plans.path import make_schedule
 from lunarsci.twin.plans.plan import Limit, Plan
+from lunarsci.twin.plans.risk import CONFIDENCE, AcceptedRisk, Chance
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.discrepancy import with_discrepancy
 from lunarsci.twin.simulation.ensemble import DrawnDiscrepancy, PowerState, Prediction, predict
 from lunarsci.twin.simulation.members import Grounds
+
+SHARED = ("rover", "terrain", "plan", "grounds", "before", "power")
+"""Fields of a prediction that need not come back from where it was computed."""
+UNFINISHED = "unfinished"
+ROUNDS = (0.25, 0.5, 1.0)
+"""Shares of the soils after which hopeless candidates stop: as soils double, half of the candidates go on (successive
+halving: Jamieson & Talwalkar 2016, Proc. Mach. Learn. Res. 51, 240)."""
+LEAST_LEFT = 8
+"""So many candidates are driven on all soils, where there are so many."""
+ALIKE = 0.01
+"""Drives whose energy, length or time differ by this share are alike; assumed."""
+CHECKED = 4
+"""So many of the best are driven again on fresh soils at a time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,10 +118,6 @@ class Conditions:
         return dataclasses.replace(driven, power=self.power)
 
 
-SHARED = ("rover", "terrain", "plan", "grounds", "before", "power")
-"""Fields of a prediction that need not come back from where it was computed."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class CandidateDrives:
     """Drives of some members along each of some plans: what `run_blocks` shares out, a row for each plan."""
@@ -180,9 +187,6 @@ def _joined_discrepancy(parts: Sequence[Prediction]) -> DrawnDiscrepancy | None:
         return None
     shares = {name: np.concatenate([one.shares[name] for one in drawn]) for name in drawn[0].shares}
     return DrawnDiscrepancy(law=drawn[0].law, offsets_m=np.concatenate([one.offsets_m for one in drawn]), shares=shares)
-
-
-UNFINISHED = "unfinished"
 
 
 @dataclass(frozen=True, slots=True)
@@ -310,15 +314,6 @@ def _unfinished(prediction: Prediction) -> tuple[tuple[int, float], Weakest]:
 
 Preference: TypeAlias = Literal["energy", "length", "time", "risk"]
 
-ROUNDS = (0.25, 0.5, 1.0)
-"""Shares of the soils after which hopeless candidates stop; a quarter of 64 is a group of the simulation. Assumed."""
-LEAST_LEFT = 8
-"""So many candidates are driven on all soils, where there are so many."""
-ALIKE = 0.01
-"""Drives whose energy, length or time differ by this share are alike; assumed."""
-CHECKED = 4
-"""So many of the best are driven again on fresh soils at a time."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DriveCandidate:
@@ -403,13 +398,13 @@ class DriveChoice:
     ----------
     candidates : first those that keep the risk on fresh soils, by what is preferred; then those that seem to on the
         soils that all share; then the others, by their risk.
-    risk : chance of failing that is accepted. [-]
+    risk : chance of failing that is accepted.
     prefer : what decides among those that keep it.
     fresh : whether the promises are of soils that had no part in the choice.
     """
 
     candidates: tuple[DriveCandidate, ...]
-    risk: float
+    risk: AcceptedRisk
     prefer: Preference
     fresh: bool
 
@@ -421,7 +416,7 @@ class DriveChoice:
     @property
     def feasible(self) -> bool:
         """Whether a candidate keeps the risk on soils that it was not chosen by."""
-        return self.best.promise is not None and self.best.promise.risk <= self.risk
+        return self.best.promise is not None and self.risk.accepts(self.best.promise)
 
     @property
     def front(self) -> tuple[DriveCandidate, ...]:
@@ -433,7 +428,7 @@ class DriveChoice:
         """Where none is feasible, what the candidates break most, and how many of them do, the most frequent first."""
         counts: dict[str, int] = {}
         for one in self.candidates:
-            if one.stated.risk > self.risk:
+            if not self.risk.accepts(one.stated):
                 counts[one.weakest.quantity] = counts.get(one.weakest.quantity, 0) + 1
         return tuple(sorted(counts.items(), key=lambda pair: -pair[1]))
 
@@ -442,7 +437,7 @@ def choose(
     plans: Sequence[Plan],
     conditions: Conditions,
     *,
-    risk: float,
+    risk: AcceptedRisk,
     prefer: Preference = "energy",
     members: int | None = None,
     racing: bool = True,
@@ -455,7 +450,7 @@ def choose(
     plans : each with its limits, to the same target; a limit on `endpoint_miss_m` is the tolerance of its end.
     conditions : soils and grounds; the first `members` are those by which plans are chosen, the others fresh ones on
         which the chosen are driven again.
-    risk : chance of failing that is accepted, 0 to 1. [-]
+    risk : chance of failing that is accepted.
     prefer : among plans that keep it that with the least energy, length, time or risk is the best. Of those that are
         alike, see `ALIKE`, that with the least risk is better.
     members : soils by which plans are chosen; None for all, and then promises are of these same soils.
@@ -467,10 +462,11 @@ def choose(
     """
     if not plans:
         raise ParameterError("no plans to choose from; give one or more")
-    least = least_drives(risk)
     count = conditions.members if members is None else members
-    if not least <= count <= conditions.members:
-        raise ParameterError(f"members is {count}; a risk of {risk:g} needs {least} or more, of {conditions.members}")
+    if not risk.least_drives <= count <= conditions.members:
+        raise ParameterError(
+            f"members is {count}; a risk of {risk.share:g} needs {risk.least_drives} or more, of {conditions.members}"
+        )
     again = min(CHECKED, len(plans)) * (conditions.members - count)
     race = _Race(conditions, risk, prefer, count, progress, len(plans) * count + again)
     checked = race.checked(race.run(plans, racing=racing))
@@ -485,7 +481,7 @@ class _Race:
     """Drives of candidates in rounds, and how many of them were done."""
 
     conditions: Conditions
-    risk: float
+    risk: AcceptedRisk
     prefer: Preference
     members: int
     progress: Progress | None
@@ -518,11 +514,11 @@ class _Race:
         done: dict[int, DriveCandidate] = {}
         for first in range(0, len(order), CHECKED):
             batch = order[first : first + CHECKED]
-            if first and batch[0].chance.risk > self.risk:
+            if first and not self.risk.accepts(batch[0].chance):
                 break
             for one in self._on_fresh(batch, fresh):
                 done[one.number] = one
-            if any(one.stated.risk <= self.risk for one in done.values()):
+            if any(self.risk.accepts(one.stated) for one in done.values()):
                 break
         return [done.get(one.number, one) for one in candidates]
 
@@ -566,7 +562,7 @@ class _Race:
         others the better half goes on, and no less than eight; and those of the worse half that no better one beats in
         risk, length and energy.
         """
-        bound = max(self.risk, min(one.chance.high for one in candidates))
+        bound = max(self.risk.share, min(one.chance.high for one in candidates))
         order = ranked(candidates, self.risk, self.prefer)
         hopeful = [one for one in order if one.chance.low <= bound]
         half = max(LEAST_LEFT, math.ceil(len(candidates) / 2))
@@ -576,7 +572,7 @@ class _Race:
         return sorted(left, key=lambda one: one.number), [one for one in candidates if one.number not in going]
 
 
-def ranked(raced: Iterable[DriveCandidate], risk: float, prefer: Preference) -> list[DriveCandidate]:
+def ranked(raced: Iterable[DriveCandidate], risk: AcceptedRisk, prefer: Preference) -> list[DriveCandidate]:
     """The best first: promised, then likely to keep the risk, then the others by their risk; NaN energies last.
 
     Of those that keep it, what is alike is told apart by risk, and then by time: what lies within `ALIKE` of the best,
@@ -584,7 +580,7 @@ def ranked(raced: Iterable[DriveCandidate], risk: float, prefer: Preference) -> 
     """
     candidates = list(raced)
     stages = {
-        one.number: int(one.promise is None) if one.stated.risk <= risk else 2 + one.stopped for one in candidates
+        one.number: int(one.promise is None) if risk.accepts(one.stated) else 2 + one.stopped for one in candidates
     }
     least = dict[int, float]()
     for one in candidates:

@@ -13,6 +13,7 @@ import numpy as np
 from lunarsci.arrays import BoolArray
 from lunarsci.errors import LunarSciError, ParameterError
 from lunarsci.names import meant
+from lunarsci.ranges import check_range
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.traction import LoadedWheel, Traction, traction
 from lunarsci.rovers import RoverDescription
@@ -39,6 +40,8 @@ UNUSED = {
     "suspension.bogie": "it is no number",
 }
 """Numbers that change no drive, by table or key, and why."""
+CURVE = tuple(np.linspace(0.0, 0.6, 13).tolist())
+"""Slips at which a wheel's pull is looked at; the wheel model holds to 0.6, see `MAX_VALID_SLIP`. [-]"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,8 +117,7 @@ def design_values(variations: Sequence[Variation], designs: int | None, seed: in
     Raises ParameterError for more than 2000 designs.
     """
     count = math.prod(entry.count for entry in variations) if designs is None else designs
-    if not 1 <= count <= MOST_DESIGNS:
-        raise ParameterError(f"{count} designs; give 1 to {MOST_DESIGNS}")
+    check_range("designs", count, f"[1, {MOST_DESIGNS}]")
     if designs is None:
         axes = [np.linspace(entry.low, entry.high, entry.count) for entry in variations]
         rows = np.stack([mesh.ravel() for mesh in np.meshgrid(*axes, indexing="ij")], axis=1)
@@ -172,8 +174,6 @@ def check_design(rover: Rover, assumed: Sequence[str] = ()) -> None:
         raise ParameterError("the chassis lies on the ground; raise body.belly_z_m or take larger wheels")
 
 
-CURVE = tuple(np.linspace(0.0, 0.6, 13).tolist())
-"""Slips at which a wheel's pull is looked at; the wheel model holds to 0.6, see `MAX_VALID_SLIP`. [-]"""
 Drive = Callable[[int, dict[str, Any]], Prediction]
 """Drives plan number k of the mission with some of its inputs replaced."""
 

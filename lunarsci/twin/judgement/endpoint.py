@@ -18,6 +18,11 @@ from lunarsci.twin.plans.plan import Fixes
 from lunarsci.twin.simulation.discrepancy import turn_matrix, way_matrix
 from lunarsci.twin.simulation.ensemble import LONGEST_SAMPLE_M, LONGEST_STEP_S, Prediction, predict
 
+SHORTEST_STEP_S = 0.01
+"""Below, the error is a tenth of a millimetre, and half the step would take long."""
+MOST_PAIRS = 64
+"""Drives that are driven again, evenly from all; of so many pairs a share is known within a fifth of itself."""
+
 
 @dataclass(frozen=True, slots=True)
 class ErrorEllipse:
@@ -196,10 +201,6 @@ def _matrix(values: FloatArray) -> Matrix:
     return (float(values[0, 0]), float(values[0, 1])), (float(values[1, 0]), float(values[1, 1]))
 
 
-SHORTEST_STEP_S = 0.01
-"""Below, the error is a tenth of a millimetre, and half the step would take long."""
-
-
 @dataclass(frozen=True, slots=True)
 class EndpointSensitivity:
     """How the end moves with one soil parameter.
@@ -274,10 +275,6 @@ def step_error_m(prediction: Prediction) -> float | None:
         return None
     whole = runs[0].endpoints_m[0] if fixes else prediction.paths[member, -1, :2]
     return float(2 * np.hypot(*(runs[-1].endpoints_m[0] - whole)))
-
-
-MOST_PAIRS = 64
-"""Drives that are driven again, evenly from all; of so many pairs a share is known within a fifth of itself."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,11 +4,9 @@ A drive is kept that ends and breaks none of its limits. These are the limits of
 being written there: circles to keep out of, what the motors give for long, and what must be left in the battery.
 """
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from scipy.special import betaincinv
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
@@ -21,61 +19,6 @@ NEVER_BROKEN = ("keep_out_m", "battery_charge")
 """Limits that no drive of an ensemble may break, where of others 95 % keep them: it would be lost."""
 PLAN_HAS_NONE = "the rover's own, as the plan has none"
 """Begins the source of a limit that a plan leaves out."""
-CONFIDENCE = 0.95
-"""Of each of the two bounds of a chance that are given."""
-
-
-@dataclass(frozen=True, slots=True)
-class Chance:
-    """Chance of failing, of so many drives that did.
-
-    Attributes
-    ----------
-    failed, drives : how many of how many broke a limit or did not end.
-
-    With the law of Jeffreys, Beta(failed + 1/2, drives - failed + 1/2): its mean is what is promised, its quantiles 5 %
-    and 95 % are the bounds (Brown, Cai & DasGupta 2001, Statist. Sci. 16, 101, 10.1214/ss/1009213286). These hold the
-    number of drives alone, not what soils, ground and physics of the twin are wrong about beyond what was drawn.
-    """
-
-    failed: int
-    drives: int
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.failed <= self.drives or self.drives < 1:
-            raise ParameterError(f"{self.failed} of {self.drives} drives failed; give at least one, and no more failed")
-
-    @property
-    def risk(self) -> float:
-        """Chance of failing, the mean of its law. [-]"""
-        return (self.failed + 0.5) / (self.drives + 1.0)
-
-    @property
-    def low(self) -> float:
-        """It is above this with 95 %. [-]"""
-        return self._quantile(1.0 - CONFIDENCE) if self.failed else 0.0
-
-    @property
-    def high(self) -> float:
-        """It is below this with 95 %. [-]"""
-        return self._quantile(CONFIDENCE) if self.failed < self.drives else 1.0
-
-    def _quantile(self, share: float) -> float:
-        return float(betaincinv(self.failed + 0.5, self.drives - self.failed + 0.5, share))
-
-    def to_dict(self) -> dict[str, float]:
-        """For a result."""
-        return {
-            "drives": self.drives, "failed": self.failed, "probability": 1.0 - self.risk, "risk": self.risk,
-            "risk_low": self.low, "risk_high": self.high,
-        }  # fmt: skip
-
-
-def least_drives(risk: float) -> int:
-    """Drives without a failure that are needed to promise a risk. Raises ParameterError for a risk not in (0, 1)."""
-    if not 0 < risk < 1:
-        raise ParameterError(f"risk is {risk:g}; give a chance above 0 and below 1, such as 0.05")
-    return max(1, math.ceil(0.5 / risk - 1.0 - 1e-9))
 
 
 def limits_judged(prediction: Prediction) -> tuple[Limit, ...]:

@@ -1,6 +1,5 @@
-"""Is the next drive safe: each limited quantity over the ensemble, and a verdict.
-
-Where the wheel model was used outside of what is known about it.
+"""Is the next drive safe: each limited quantity over the ensemble, where the wheel model was used outside of what is
+known about it, and a verdict.
 """
 
 import dataclasses
@@ -11,27 +10,29 @@ from typing import Literal
 import numpy as np
 
 from lunarsci.arrays import FloatArray
+from lunarsci.result import Doubt
 from lunarsci.twin.ground.finer_ground import Unresolved
 from lunarsci.twin.judgement.endpoint import Endpoint, endpoint_spread
 from lunarsci.twin.judgement.keeping import (
     NEVER_BROKEN,
     PLAN_HAS_NONE,
-    Chance,
     broken,
     extremes,
     keeps_limits,
-    least_drives,
     limits_judged,
     not_judged,
 )
 from lunarsci.twin.judgement.quantities import Encounter, clearance, encounters, least_of_95, most_of_95
 from lunarsci.twin.lanes import HOLE, LEFT, OUTCOMES
 from lunarsci.twin.plans.plan import Limit, Plan, check_limits
+from lunarsci.twin.plans.risk import USUAL, AcceptedRisk, Chance
 from lunarsci.twin.simulation.contact import DEEPEST, SHALLOWEST, VALID_SLIP
 from lunarsci.twin.simulation.ensemble import MOST_BEYOND, STATE_COLUMNS, Prediction
 
 CALIBRATED_SINKAGE_M = (0.005, 0.015)
 """Sinkages that the calibration of Ding et al. (2024), 10.1038/s41467-024-46233-8, covers: wheels of Yutu-2. [m]"""
+MOST_DRAWS = 0.75
+"""Of the draws of unseen ground that must fail for a no-go: a quarter of such plans would have kept. Assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,12 +106,6 @@ def validity_notes(states: Validity) -> list[str]:
 def percent(share: float) -> str:
     """A share in words, never rounded to nothing."""
     return "less than 0.1 %" if share < 0.001 else f"{100 * share:.1f} %"
-
-
-MOST_DRAWS = 0.75
-"""Of the draws of unseen ground that must fail for a no-go: a quarter of such plans would have kept. Assumed."""
-MOST = 0.95
-"""Of the drives that keep each limit, where no other risk is accepted; assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,6 +213,11 @@ class Verdict:
     keep_outs: tuple[Encounter, ...] = ()
 
     @property
+    def doubt(self) -> Doubt:
+        """Why not to drive, begun by the verdict; none for `go`."""
+        return Doubt() if self.verdict == "go" else Doubt.of(*self.reasons, verdict=self.verdict)
+
+    @property
     def chance(self) -> Chance:
         """Of failing, on soils drawn as these were."""
         return Chance(self.failed, self.members)
@@ -247,8 +247,8 @@ def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
     finished = prediction.finished
     limits = limits_judged(prediction) if finished.any() else ()
     risk = prediction.plan.accepted_risk
-    risk = None if risk is None or prediction.members < least_drives(risk) else risk
-    share = MOST if risk is None else 1.0 - risk
+    risk = None if risk is None or prediction.members < risk.least_drives else risk
+    share = (risk or USUAL).keeping
     judged = tuple(j for limit in limits if (j := _judge_limit(prediction, limit, share)) is not None)
     outcomes = {
         OUTCOMES[int(k)]: int(n) for k, n in zip(*np.unique(prediction.outcome, return_counts=True), strict=True)
@@ -278,7 +278,7 @@ def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
         worst=_worst(prediction, judged),
         failed=chance.failed,
         members=chance.drives,
-        accepted_risk=risk,
+        accepted_risk=None if risk is None else risk.share,
         keep_outs=near,
     )
 
@@ -322,20 +322,20 @@ def _beyond_model(states: Validity) -> list[str]:
     ]
 
 
-def _beyond(risk: float, chance: Chance) -> list[str]:
+def _beyond(risk: AcceptedRisk, chance: Chance) -> list[str]:
     """Why the chance of failing is too large, where it is."""
-    if chance.risk <= risk:
+    if risk.accepts(chance):
         return []
     return [
         f"{chance.failed} of {chance.drives} drives break a limit or do not end: a risk of {percent(chance.risk)}, "
-        f"{percent(risk)} is accepted"
+        f"{percent(risk.share)} is accepted"
     ]
 
 
-def _within(risk: float, chance: Chance) -> str:
+def _within(risk: AcceptedRisk, chance: Chance) -> str:
     return (
         f"{chance.failed} of {chance.drives} drives break a limit or do not end: a risk of {percent(chance.risk)}, at "
-        f"most {percent(chance.high)}; {percent(risk)} is accepted, and decides"
+        f"most {percent(chance.high)}; {percent(risk.share)} is accepted, and decides"
     )
 
 

@@ -1,12 +1,6 @@
-"""The prediction as tables: wheel states against distance, paths, ends.
-
-How the quantities of a drive spread over the members at each distance.
-
-Whether the wheels of a prediction carry what wheels of a slow rover can carry.
-
-What each wheel carried and pulled along a drive, as a few numbers.
-
-Forces with their uncertainty as a table: the input of the joint identification of a soil.
+"""Drives as tables: wheel states against distance, paths, ends, the spread of quantities over the members; what each
+wheel carried and pulled, whether wheels of a slow rover can, and forces with their uncertainty, the input of the joint
+identification of a soil.
 """
 
 from collections.abc import Sequence
@@ -18,6 +12,7 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray, at_times
 from lunarsci.regolith.states import FROM_MOTION
 from lunarsci.twin.judgement.quantities import along
+from lunarsci.twin.simulation.dynamics import MOST_LOAD
 from lunarsci.twin.simulation.ensemble import OFFSET_COLUMNS, PATH_COLUMNS, STATE_COLUMNS, Prediction
 from lunarsci.twin.simulation.prescribed_motion import FORCES, LoadEnsemble, PoseStates, PrescribedLoads
 
@@ -38,6 +33,15 @@ PROFILED = {
 }
 """Quantities of the profiles, and their units."""
 ALL = "all"
+QUANTITIES = (
+    "normal_force_n",
+    "drawbar_pull_n",
+    "lateral_force_n",
+    "resistance_torque_nm",
+    "sinkage_m",
+    "slip_ratio",
+    "side_slip_deg",
+)
 
 
 def spread(values: FloatArray, reached: BoolArray) -> FloatArray:
@@ -215,17 +219,6 @@ def _of_the_motion(result: LoadEnsemble) -> "pd.DataFrame":
     return pd.DataFrame(columns).assign(rover=held.rover.written, ground=held.terrain.written)
 
 
-QUANTITIES = (
-    "normal_force_n",
-    "drawbar_pull_n",
-    "lateral_force_n",
-    "resistance_torque_nm",
-    "sinkage_m",
-    "slip_ratio",
-    "side_slip_deg",
-)
-
-
 @dataclass(frozen=True, slots=True)
 class Spread:
     """Of one quantity over the poses of a drive, and over the members of an ensemble, all counted alike."""
@@ -270,10 +263,6 @@ def _spread(values: FloatArray) -> Spread:
     return Spread(float(values.mean()), float(values.min()), float(p05), float(p50), float(p95), float(values.max()))
 
 
-MOST_IN_WEIGHTS = 2.0
-"""Times the rover's weight that one wheel carries at most unless it falls or hits something; assumed."""
-
-
 @dataclass(frozen=True, slots=True)
 class LoadCheck:
     """Wheel loads over every member, sample and wheel that was driven.
@@ -300,7 +289,7 @@ def check_loads(prediction: Prediction) -> LoadCheck:
     loads = prediction.states[..., STATE_COLUMNS.index("normal_force_n")]
     driven = np.broadcast_to(prediction.reached[..., None], loads.shape)
     weight = prediction.rover.mass_kg * prediction.rover.gravity_m_s2
-    hanging, over = driven & (loads <= 0.0), driven & (loads > MOST_IN_WEIGHTS * weight)
+    hanging, over = driven & (loads <= 0.0), driven & (loads > MOST_LOAD * weight)
     count = max(int(driven.sum()), 1)
     return LoadCheck(
         weight_n=float(weight),

@@ -1,7 +1,7 @@
 """A mission: targets in order, ground to keep out of, hours of communication; and how it is driven leg by leg."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Literal
@@ -9,10 +9,10 @@ from typing import Literal
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import ParameterError, within_file
 from lunarsci.io.documents import check_keys, number_of, record_of, records_of, toml_of
 from lunarsci.io.inputs import Source, read_input
-from lunarsci.ranges import FINITE, NOT_NEGATIVE, POSITIVE, check_ranges
+from lunarsci.ranges import FINITE, NOT_NEGATIVE, POSITIVE, check_ranges, refuse
 from lunarsci.twin.ground.hazards import ExclusionZone
 from lunarsci.twin.judgement.energy import charge_left, stood
 from lunarsci.twin.judgement.keeping import broken, in_the_way, limits_judged
@@ -21,9 +21,13 @@ from lunarsci.twin.plans.plan import Fixes, Leg, Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import PowerState, Prediction
 
-LEGS_M = "[0.5, 25]"
-"""Between two localisations of a rover; assumed: longer legs are not planned on what cameras show."""
 MOST_TARGETS = 100
+NUMBERS = ("leg_m", "localisation_s", "time_budget_s", "speed_m_s")
+REST_SHARE = 0.3
+"""A rest of the way shorter than this share of a leg is driven with the leg before it; assumed."""
+MOST_LEGS = 500
+CORRECTIONS = 3
+"""Legs beyond those of the way, at most, that bring the rover nearer to a target that it has missed; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,7 +86,7 @@ class Mission:
     start, targets : where it begins, and where it leads.
     keep_outs : circles that no part of the rover may enter.
     fixes : standard errors of the localisation at the end of each leg; the ground is taken as looked at anew.
-    leg_m : longest leg, 0.5 to 25. [m]
+    leg_m : longest leg, above 0. [m]
     localisation_s : standstill at the end of each leg, >= 0: pictures, their way home, and the next plan. [s]
     time_budget_s : of all legs, halts, waits and stays, > 0; infinite where there is none. [s]
     windows : each leg with its localisation lies within one of these; none for always, else one after the other.
@@ -103,20 +107,21 @@ class Mission:
     speed_m_s: float | None = None
 
     def __post_init__(self) -> None:
-        if not 1 <= len(self.targets) <= MOST_TARGETS:
-            raise ParameterError(f"the mission has {len(self.targets)} [[target]]; give 1 to {MOST_TARGETS}")
-        names = [target.name for target in self.targets]
-        if len(set(names)) < len(names):
-            raise ParameterError("two targets have one name; name each of them differently")
-        if self.fixes.halt_s:
-            raise ParameterError(
-                "[fixes] halt_s has no use in a mission; its standstill at a leg's end is localisation_s"
-            )
-        ranges = {LEGS_M: "leg_m", NOT_NEGATIVE: "localisation_s", "(0, inf]": "time_budget_s", POSITIVE: "speed_m_s"}
+        ranges = {POSITIVE: "leg_m speed_m_s", NOT_NEGATIVE: "localisation_s", "(0, inf]": "time_budget_s"}
+        refuse(self._faults())
         check_ranges(self, ranges)
+
+    def _faults(self) -> Iterator[str]:
+        """What makes it no mission."""
+        if not 1 <= len(self.targets) <= MOST_TARGETS:
+            yield f"the mission has {len(self.targets)} [[target]]; give 1 to {MOST_TARGETS}"
+        if len({target.name for target in self.targets}) < len(self.targets):
+            yield "two targets have one name; name each of them differently"
+        if self.fixes.halt_s:
+            yield "[fixes] halt_s has no use in a mission; its standstill at a leg's end is localisation_s"
         for one, after in pairwise(self.windows):
             if after.begin_s < one.end_s:
-                raise ParameterError(f"the [[window]] from {after.begin_s:g} s begins before the one before it ends")
+                yield f"the [[window]] from {after.begin_s:g} s begins before the one before it ends"
 
     def begin_of(self, clock_s: float, needed_s: float) -> float | None:
         """When something of this length can begin, from a time on: None where no window has room for it. [s]"""
@@ -136,7 +141,7 @@ def read_mission(source: Source) -> Mission:
     [[keep_out]] and [[window]], with the attributes of the classes above as keys.
     """
     file = read_input(source)
-    try:
+    with within_file(file.name):
         document = toml_of(file.name, file.data)
         check_keys(document, ("name", *NUMBERS, "start", "fixes", "target", "keep_out", "window"), "a mission")
         return Mission(
@@ -148,22 +153,13 @@ def read_mission(source: Source) -> Mission:
             windows=records_of(CommWindow, document.get("window", []), "window"),
             **{name: number_of(document[name], name) for name in NUMBERS if name in document},
         )
-    except ParameterError as error:
-        raise DataError(f"{file.name}: {error}") from error
 
 
-NUMBERS = ("leg_m", "localisation_s", "time_budget_s", "speed_m_s")
 Pose = tuple[float, float, float]
 Way = Callable[[Pose, tuple[float, float]], Plan]
 Drive = Callable[[Plan], Prediction]
 Safe = Callable[[Prediction], BoolArray]
 Fate = Literal["reached", "horizon", "no way", "no time", "no window", "no drive", "not tried"]
-
-REST_SHARE = 0.3
-"""A rest of the way shorter than this share of a leg is driven with the leg before it; assumed."""
-MOST_LEGS = 500
-CORRECTIONS = 3
-"""Legs beyond those of the way, at most, that bring the rover nearer to a target that it has missed; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

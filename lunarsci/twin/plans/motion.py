@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.errors import DataError, LunarSciWarning, ParameterError
+from lunarsci.errors import LunarSciWarning, ParameterError, within_file
 from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.ranges import POSITIVE, check_range, refuse
@@ -30,10 +30,14 @@ POSE_COLUMNS = ("time_s", "x_m", "y_m", "yaw_deg")
 GAP = 5.0
 """Times the median step between poses from which on a step is a gap; assumed."""
 CLOCK_S = 1.0
-"""How far the clocks of motion and plan may differ unsaid; assumed. [s]"""
+"""How far the clocks of motion, positions and plan may differ unsaid; assumed. [s]"""
 STANDSTILL = 0.5
 """Share of the usual speed of the commanded rims below which it is a halt; assumed."""
 SIGMAS = ("x_m_sigma", "y_m_sigma", "yaw_deg_sigma")
+CORRELATION_M = 0.5
+"""Distance over which errors of a smoothed motion stay alike, where nothing tells it; assumed. [m]"""
+WAVES = 48
+"""Of which an error is made up; its covariance is exact for any number, with more it also is nearly normal."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -119,7 +123,7 @@ def read_motion(
     file = source if isinstance(source, InputFile) else read_input(str(source))
     table = read_csv_table(file)
     check_written_for(file.name, table, rover.wheel, rover.name)
-    try:
+    with within_file(file.name):
         refuse(_lacking(table, rover, plan))
         table = _one_member(file.name, table, member)
         pose = {name: numbers_of(file.name, name, table[name]) for name in POSE_COLUMNS}
@@ -128,8 +132,6 @@ def read_motion(
         if SIGMAS[0] in table:
             sigmas = np.column_stack([numbers_of(file.name, name, table[name]) for name in SIGMAS])
         motion = Motion(**pose, steering_deg=steering, speed_m_s=speed, sigmas=sigmas, halted=halted)
-    except ParameterError as error:
-        raise DataError(f"{file.name}: {error}") from error
     _warn_of_gaps(file.name, motion.time_s)
     return motion
 
@@ -218,12 +220,6 @@ def _check_times(file: str, time_s: FloatArray, duration_s: float) -> None:
             "they take its first or last commands"
         )
         warnings.warn(text, LunarSciWarning, stacklevel=4)
-
-
-CORRELATION_M = 0.5
-"""Distance over which errors of a smoothed motion stay alike, where nothing tells it; assumed. [m]"""
-WAVES = 48
-"""Of which an error is made up; its covariance is exact for any number, with more it also is nearly normal."""
 
 
 def correlation_of(motion: Motion, slip_ratio: FloatArray, slip_sigma: FloatArray) -> float | None:

@@ -14,6 +14,26 @@ from lunarsci.twin.lanes import BODY, GROUP
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover
 
+TURN_DEG = 2.0
+"""Between the poses of a spot turn that are looked at."""
+CREEP = 2e-2
+"""Share of the plan's speed from which a start speeds up, to which a stop slows down, and below which no rim falls
+while the rover drives, as the slip ratio has no meaning at zero; assumed."""
+UNDER_WAY = 0.95
+"""Share of the full speed below which it is a halt, where slip, compared with the speed, does not count; assumed."""
+CREEP_M_S = 5e-5
+"""Rim speed that stands for none where a slip ratio is wanted all the same. [m/s]"""
+STILL_M_S = 1e-9
+"""A rim slower than this stands still. [m/s]"""
+EASE_S = 0.6
+"""Time constant of starting and stopping, assumed: long against the 12-18 ms in which shear follows a wheel."""
+RAMP_S = EASE_S * math.log(1.0 / CREEP)
+"""From a creep to full speed, exponentially."""
+RAMP_COUNTS_S = EASE_S * (1.0 - CREEP)
+"""What a ramp counts for in time at full speed."""
+STEERING_RAD_S = math.radians(10.0)
+"""Assumed rate of the steering motors; the wheels steer at a standstill between legs that need it."""
+
 
 def arc_end(
     x: FloatArray, y: FloatArray, heading: FloatArray, length: FloatArray, curvature: FloatArray
@@ -50,10 +70,6 @@ def along_legs(start: FloatArray, legs: tuple[Leg, ...], distance_m: npt.ArrayLi
         piece = left if number == len(legs) - 1 else np.minimum(left, leg.length_m)
         pose, left = leg_end(pose, leg, piece / leg.length_m if leg.length_m else np.ones(left.shape)), left - piece
     return np.asarray(pose)
-
-
-TURN_DEG = 2.0
-"""Between the poses of a spot turn that are looked at."""
 
 
 def planned_pose(plan: Plan, distance_m: npt.ArrayLike) -> FloatArray:
@@ -127,17 +143,6 @@ def _blended(legs: tuple[Leg, ...], values: list[float], distance_m: npt.ArrayLi
     return result
 
 
-CREEP = 2e-2
-"""Share of the plan's speed from which a start speeds up, to which a stop slows down, and below which no rim falls
-while the rover drives, as the slip ratio has no meaning at zero; assumed."""
-UNDER_WAY = 0.95
-"""Share of the full speed below which it is a halt, where slip, compared with the speed, does not count; assumed."""
-CREEP_M_S = 5e-5
-"""Rim speed that stands for none where a slip ratio is wanted all the same. [m/s]"""
-STILL_M_S = 1e-9
-"""A rim slower than this stands still. [m/s]"""
-
-
 @dataclass(frozen=True, slots=True)
 class Commands:
     """Steering angle [rad] and ground speed of the rim r_s omega, negative backwards [m/s], of each wheel. (..., n)"""
@@ -195,16 +200,6 @@ def plain(commands: Commands) -> Commands:
     speed = np.array(commands.speed_m_s, order="C")
     still = np.abs(speed) < STILL_M_S
     return Commands(np.array(commands.steering_rad, order="C"), np.where(still, np.copysign(0.0, speed), speed))
-
-
-EASE_S = 0.6
-"""Time constant of starting and stopping, assumed: long against the 12-18 ms in which shear follows a wheel."""
-RAMP_S = EASE_S * math.log(1.0 / CREEP)
-"""From a creep to full speed, exponentially."""
-RAMP_COUNTS_S = EASE_S * (1.0 - CREEP)
-"""What a ramp counts for in time at full speed."""
-STEERING_RAD_S = math.radians(10.0)
-"""Assumed rate of the steering motors; the wheels steer at a standstill between legs that need it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,13 +9,14 @@ from functools import cache
 from importlib.resources import files
 from typing import Any, Literal
 
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import ParameterError, within_file
 from lunarsci.io.documents import check_keys, number_of, record_of, records_of, toml_of
 from lunarsci.io.inputs import Source, read_input
-from lunarsci.ranges import CHANCE, FINITE, NOT_NEGATIVE, POSITIVE, check_range, check_ranges, refuse
+from lunarsci.ranges import FINITE, NOT_NEGATIVE, POSITIVE, check_range, check_ranges, refuse
 from lunarsci.rovers import MadeFor
 from lunarsci.twin.ground.hazards import ExclusionZone
 from lunarsci.twin.ground.terrain import OVERRIDES, soil_override
+from lunarsci.twin.plans.risk import AcceptedRisk
 from lunarsci.twin.rover import Rover
 
 # Quantities that can be limited, and their units.
@@ -44,6 +45,14 @@ VALUES = {
     "battery_charge": ("[0, 1]", "write a share, 0.3 for 30 %"),
 }
 """That limits can have, where any number above 0 cannot, and what another one was meant to be."""
+LIMITS_RULE = "sinkage a third of its wheel radius, tilt its max_slope_deg, the others as in the embedded plan"
+"""What a plan without [limits] is judged by."""
+_KEYS = ("name", "crs", "made_for", "start", "drive", "leg", "fixes", "limits", "sweep", "keep_out")
+LENGTHS_M, STOPS_S, HALTS_S = "[0, 10000]", "[1, 3600]", "[0, 3600]"  # assumed, to tell a slip of the pen
+SLOWEST_M_S = 0.001
+"""Slower, the creep of a halt is not small, and shear follows the wheel faster than any step; assumed. [m/s]"""
+RATIOS = "[0.2, 3]"
+"""Of a wheel test: a slip ratio between -0.8 and 0.67 where the rover keeps its speed; assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,10 +87,6 @@ def default_limits() -> tuple[Limit, ...]:
 
 def _embedded_plan() -> str:
     return (files(__package__) / "plan.toml").read_text("utf-8")
-
-
-LIMITS_RULE = "sinkage a third of its wheel radius, tilt its max_slope_deg, the others as in the embedded plan"
-"""What a plan without [limits] is judged by."""
 
 
 def rover_limits(rover: Rover) -> tuple[Limit, ...]:
@@ -124,14 +129,6 @@ def parse_limit(quantity: str, entry: Any, source: str = "the plan") -> Limit:
     check_keys(table, ("value", "source", "assumed"), f"limit {quantity}")
     value = number_of(table.get("value"), quantity)
     return Limit(quantity, QUANTITIES[quantity], value, str(table.get("source", "")), bool(table.get("assumed", False)))
-
-
-_KEYS = ("name", "crs", "made_for", "start", "drive", "leg", "fixes", "limits", "sweep", "keep_out")
-LENGTHS_M, STOPS_S, HALTS_S = "[0, 10000]", "[1, 3600]", "[0, 3600]"  # assumed, to tell a slip of the pen
-SLOWEST_M_S = 0.001
-"""Slower, the creep of a halt is not small, and shear follows the wheel faster than any step; assumed. [m/s]"""
-RATIOS = "[0.2, 3]"
-"""Of a wheel test: a slip ratio between -0.8 and 0.67 where the rover keeps its speed; assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,7 +241,7 @@ class Plan:
     made_for : the rover that it was planned for, where that is known.
     has_limits : whether its file has limits; without, they are those of the rover that drives it (`MadeForCheck`).
     crs : the coordinate system of x and y as well-known text; empty for a local frame.
-    accepted_risk : chance of failing that it was chosen with, above 0 and below 1; None for the rule of `judge`. [-]
+    accepted_risk : chance of failing that it was chosen with; None for the rule of `judge`.
     """
 
     name: str
@@ -262,12 +259,12 @@ class Plan:
     made_for: MadeFor | None = None
     has_limits: bool = field(default=True, compare=False)
     crs: str = ""
-    accepted_risk: float | None = None
+    accepted_risk: AcceptedRisk | None = None
 
     def __post_init__(self) -> None:
         if not self.legs:
             raise ParameterError("the plan has no leg; its length is zero, so there is nothing to drive")
-        names = {CHANCE: "accepted_risk", NOT_NEGATIVE: "blend_m", FINITE: "x_m y_m heading_deg"}
+        names = {NOT_NEGATIVE: "blend_m", FINITE: "x_m y_m heading_deg"}
         check_ranges(self, names | {f"[{SLOWEST_M_S}, inf)": "speed_m_s", LENGTHS_M: "length_m"}, "the plan's")
         if not self.exclusion_zones and any(limit.quantity == "keep_out_m" for limit in self.limits):
             raise ParameterError("limit keep_out_m without a [[keep_out]]; give the circles to keep out of")
@@ -346,7 +343,7 @@ def read_plan(source: "Source | None" = None) -> Plan:
 
 def parse_plan(text: str | bytes, origin: str) -> Plan:
     """The plan of a TOML text; `origin` is its file. Raises DataError."""
-    try:
+    with within_file(origin):
         document = toml_of(origin, text)
         check_keys(document, _KEYS, "the plan")
         start, drive, limits, sweep = (document.get(name, {}) for name in ("start", "drive", "limits", "sweep"))
@@ -356,6 +353,7 @@ def parse_plan(text: str | bytes, origin: str) -> Plan:
         check_keys(sweep, OVERRIDES, "[sweep]")
         if "speed_m_s" not in drive:
             raise ParameterError("[drive] has no speed_m_s")
+        risk = drive.pop("accepted_risk", None)
         given_limits = tuple(parse_limit(quantity, entry) for quantity, entry in limits.items())
         return Plan(
             name=str(document.get("name", origin)),
@@ -368,10 +366,9 @@ def parse_plan(text: str | bytes, origin: str) -> Plan:
             made_for=MadeFor.from_table(document["made_for"]) if "made_for" in document else None,
             has_limits="limits" in document,
             crs=str(document.get("crs", "")),
+            accepted_risk=None if risk is None else AcceptedRisk(number_of(risk, "accepted_risk")),
             **{key: number_of(value, key) for key, value in (start | drive).items()},
         )
-    except ParameterError as error:
-        raise DataError(f"{origin}: {error}") from error
 
 
 def plan_text(plan: Plan) -> str:
@@ -382,8 +379,8 @@ def plan_text(plan: Plan) -> str:
         rows = (f"{name} = {_quoted(value) if isinstance(value, str) else repr(float(value))}" for name, value in made)
         lines += ["", "[made_for]", *rows]
     lines += ["", "[start]", *_numbers(plan, "x_m", "y_m", "heading_deg")]
-    risk = () if plan.accepted_risk is None else ("accepted_risk",)
-    lines += ["", "[drive]", *_numbers(plan, "speed_m_s", "blend_m", *risk)]
+    lines += ["", "[drive]", *_numbers(plan, "speed_m_s", "blend_m")]
+    lines += [] if plan.accepted_risk is None else [f"accepted_risk = {float(plan.accepted_risk.share)!r}"]
     for leg in plan.legs:
         lines += ["", "[[leg]]"]
         lines += _numbers(leg, *(name for name in Leg.__slots__ if name != "wheel_test" and getattr(leg, name)))
@@ -410,15 +407,13 @@ def _numbers(given: object, *names: str) -> list[str]:
 def read_limits(source: Source) -> tuple[Limit, ...]:
     """The [limits] of a TOML file, which may be a plan. Raises DataError, also for one without any."""
     file = read_input(source)
-    try:
+    with within_file(file.name):
         table = toml_of(file.name, file.data).get("limits")
         if not isinstance(table, dict) or not table:
             raise ParameterError("no [limits] in it; write quantities and their limits there, as endpoint_miss_m = 0.5")
         if "keep_out_m" in table:
             raise ParameterError("limit keep_out_m is of the circles of one plan; leave it out, or make these wider")
         return tuple(parse_limit(quantity, entry, file.name) for quantity, entry in table.items())
-    except ParameterError as error:
-        raise DataError(f"{file.name}: {error}") from error
 
 
 def _quoted(text: str) -> str:

@@ -1,8 +1,5 @@
-"""Search for courses of arcs over a map of costs and clearances: a lattice of arcs, then a local refinement.
-
-Arcs that end a path exactly where it shall end.
-
-What the search of a path looks up at a point: distance from the nearest obstacle, and cost of a metre.
+"""Search for courses of arcs over a map of costs and clearances: a lattice of arcs, arcs that end exactly at a target,
+then a local refinement.
 """
 
 import math
@@ -18,6 +15,28 @@ from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.compiled import compiled
 from lunarsci.twin.ground.hazards import RoverFootprint, Traversability
 from lunarsci.twin.plans.path import arc_end
+
+LARGEST_TURN = 0.75 * np.pi
+"""No closing arc turns further than this; assumed. [rad]"""
+MOST_ARCS = 4
+LENGTHS = 8
+"""Free arcs are 1/8, 2/8 ... 8/8 of the distance of the target long."""
+HALVINGS = 5
+"""and as curved as the tightest turn, half of it, ... a sixteenth, to the left and to the right, or straight."""
+LONGEST = 2.5
+"""A course is at most this many distances of the target long, and two tightest turns, and costs at most as many times
+what the cheapest one does; assumed."""
+TURNING_M2 = 0.5
+"""Cost of a change of curvature by 1/m: assumed. [m2]"""
+ARC_M = 0.1
+"""Cost of each arc: assumed. [m]"""
+BEST, NEARLY = 5, 8
+"""How many courses of each number of arcs are refined, and how many that do not keep the clearance if none does."""
+SHORTEST_M, FINEST_M, COARSEST_M = 0.1, 0.1, 0.4
+"""Shortest arc of a course, and steps along it that are looked at: about a footprint's error."""
+SAME_PER_M = 1e-5
+"""Arcs whose curvatures differ by less are one."""
+PENALTY = 1e3
 
 
 class Window(NamedTuple):
@@ -177,10 +196,6 @@ def drive_course(
     return cost, shortfall
 
 
-LARGEST_TURN = 0.75 * np.pi
-"""No closing arc turns further than this; assumed. [rad]"""
-
-
 def close_on_point(poses: FloatArray, point_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The one arc from each pose to a point: length and curvature, NaN where it would turn by more than 135 deg.
 
@@ -220,27 +235,6 @@ def close_on_pose(poses: FloatArray, goal: FloatArray) -> tuple[FloatArray, Floa
     x, y, heading = arc_end(poses[:, 0], poses[:, 1], poses[:, 2], length_1[:, 0], curvature_1[:, 0])
     length_2, curvature_2 = close_on_point(np.column_stack([x, y, heading]), goal[:2])
     return np.hstack([length_1, length_2]), np.hstack([curvature_1, curvature_2])
-
-
-MOST_ARCS = 4
-LENGTHS = 8
-"""Free arcs are 1/8, 2/8 ... 8/8 of the distance of the target long."""
-HALVINGS = 5
-"""and as curved as the tightest turn, half of it, ... a sixteenth, to the left and to the right, or straight."""
-LONGEST = 2.5
-"""A course is at most this many distances of the target long, and two tightest turns, and costs at most as many times
-what the cheapest one does; assumed."""
-TURNING_M2 = 0.5
-"""Cost of a change of curvature by 1/m: assumed. [m2]"""
-ARC_M = 0.1
-"""Cost of each arc: assumed. [m]"""
-BEST, NEARLY = 5, 8
-"""How many courses of each number of arcs are refined, and how many that do not keep the clearance if none does."""
-SHORTEST_M, FINEST_M, COARSEST_M = 0.1, 0.1, 0.4
-"""Shortest arc of a course, and steps along it that are looked at; assumed, about a footprint's error."""
-SAME_PER_M = 1e-5
-"""Arcs whose curvatures differ by less are one."""
-PENALTY = 1e3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

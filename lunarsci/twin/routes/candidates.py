@@ -12,6 +12,7 @@ from scipy.ndimage import label, minimum_position
 
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.errors import ParameterError
+from lunarsci.ranges import check_range
 from lunarsci.result import Progress
 from lunarsci.twin.ground.hazards import RoverFootprint, Traversability
 from lunarsci.twin.plans.path import arc_end
@@ -24,6 +25,13 @@ PLACES = 48
 """At which courses are compared, and turns about obstacles counted."""
 LOOKED_AT = 3000
 """Courses of a number of arcs that are compared, the cheapest ones."""
+WIDEST_CRAB_DEG, DRAGGED_DEG = 60.0, 5.0
+"""A rover is not driven more sidewards than this where all its wheels steer, and where some are dragged; assumed."""
+LEAST_TURN_DEG = 15.0
+"""Targets less far to the side are reached by arcs as well as after a spot turn; assumed."""
+FIX_EVERY_M = (5.0, 2.5)
+"""Way between localisation updates, where there are any; assumed. [m]"""
+MOST = 50
 
 
 def course_places(start: FloatArray, arcs: FloatArray) -> FloatArray:
@@ -119,15 +127,6 @@ class DistinctWays:
         return np.asarray(far | (passed[others] != passed[one]).any(axis=1))
 
 
-WIDEST_CRAB_DEG, DRAGGED_DEG = 60.0, 5.0
-"""A rover is not driven more sidewards than this where all its wheels steer, and where some are dragged; assumed."""
-LEAST_TURN_DEG = 15.0
-"""Targets less far to the side are reached by arcs as well as after a spot turn; assumed."""
-FIX_EVERY_M = (5.0, 2.5)
-"""Way between localisation updates, where there are any; assumed. [m]"""
-MOST = 50
-
-
 @dataclass(frozen=True, slots=True)
 class Manner:
     """How a drive goes: first a spot turn, then arcs travelled at an angle to the heading. [deg]"""
@@ -186,8 +185,7 @@ def candidate_plans(
     obstacles is refined, and courses join it that sweep other ground. All keep the clearance that `plan_path` keeps,
     and end at the target. Raises ParameterError as `plan_path` does, also where there is none.
     """
-    if most < 1:
-        raise ParameterError(f"candidates are {most}; give 1 or more")
+    check_range("candidates", most, "[1, inf)")
     search = RouteSearch.of(surface, rover, start, target, final_heading_deg)
     template = Plan(
         name="candidate", legs=(Leg(1.0),), speed_m_s=commanded_speed(rover, speed_m_s), x_m=start[0], y_m=start[1],

@@ -19,7 +19,7 @@ from lunarsci.twin.routes.arc_search import FINEST_M, Strip, Window, clearance, 
 from lunarsci.twin.routes.planner import (
     FAR_MARGIN_M,
     MARGIN_SHARE,
-    PLACES_M,
+    PATH_STEP_M,
     PlannedPath,
     check_place,
     plan_path,
@@ -230,7 +230,7 @@ def _arcs_to(
     path = plan_path(ground, rover, start, target, **options)
     if ground is surface:
         return path
-    return replace(path, swept=swept_nodes(path.footprint, surface.terrain, poses_along(path.plan, PLACES_M)))
+    return replace(path, swept=swept_nodes(path.footprint, surface.terrain, poses_along(path.plan, PATH_STEP_M)))
 
 
 def _headings(places: FloatArray, goal: int, final_heading_deg: float | None) -> tuple[float | None, ...]:

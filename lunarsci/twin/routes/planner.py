@@ -35,13 +35,11 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-NEAR_M = 1.0
-"""From a footprint farther than this an obstacle is not taken for what is in the way; assumed. [m]"""
 ARRIVAL_M = 0.01
-"""A path ends at least this near to its target; assumed. [m]"""
+"""A path ends at least this near to its target, as the search reckons it. [m]"""
 MARGIN_SHARE, MARGIN_M, FAR_MARGIN_M = 0.5, 3.0, 50.0
 """The search looks this share of the distance, and so far, beyond start and target; farther on long ways; assumed."""
-PLACES_M = 0.02
+PATH_STEP_M = 0.02
 
 
 PATH_NUMBERS = (
@@ -54,6 +52,8 @@ PATH_NUMBERS = (
     "max_roughness_m",
     "max_curvature_per_m",
 )
+LINE_STEP_M, SHOWN_MARGIN_M = 0.5, 10.0
+LOCAL = "local frame of the terrain, x and y in m"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -192,10 +192,8 @@ class RouteSearch:
         text = f"no path within the limits was found; the nearest place reached is x {end[0]:.2f} m, y {end[1]:.2f} m"
         text += f", {left:.2f} m from the target"
         clear, point = self.clear_m(end[None])
-        if NEAR_M < clear < math.inf:
-            text += f", with no obstacle within {NEAR_M:g} m of it: its arcs may be too wide for this target"
-        elif len(self.ground.border):
-            text += f", next to where {self.obstacle(point)}"
+        if math.isfinite(clear) and len(self.ground.border):
+            text += f", {max(clear, 0.0):.2g} m from where {self.obstacle(point)}"
         return f"{text}; try a smaller hazard distance, tighter turns, a nearer target first, or other limits"
 
     def _obstacle_places(self) -> tuple[FloatArray, FloatArray]:
@@ -289,7 +287,7 @@ def commanded_speed(rover: Rover, speed_m_s: float | None) -> float:
 def share_on(nodes: BoolArray, path: PlannedPath, surface: Traversability) -> float:
     """Share of a path's length over some of the nodes (ny, nx), looked at every 2 cm. [-]"""
     length = path.plan.length_m
-    poses = planned_pose(path.plan, np.linspace(0.0, length, max(2, math.ceil(length / PLACES_M) + 1)))
+    poses = planned_pose(path.plan, np.linspace(0.0, length, max(2, math.ceil(length / PATH_STEP_M) + 1)))
     return float(nodes[surface.terrain.nodes(poses)].mean())
 
 
@@ -338,7 +336,7 @@ def check_place(surface: Traversability, name: str, place: Sequence[float]) -> N
 
 def measured_path(search: RouteSearch, plan: Plan, cost_m: float = math.nan) -> PlannedPath:
     """The path of a plan with its extremes, looked at every 2 cm."""
-    poses = poses_along(plan, PLACES_M)
+    poses = poses_along(plan, PATH_STEP_M)
     surface = search.surface
     terrain, maps = surface.terrain, surface.maps
     swept = swept_nodes(search.footprint, terrain, poses)
@@ -363,10 +361,6 @@ def _largest(values: npt.NDArray[np.float32]) -> float:
     return float(finite.max()) if finite.size else math.nan
 
 
-EVERY_M, SHOWN_M = 0.5, 10.0
-LOCAL = "local frame of the terrain, x and y in m"
-
-
 def path_geojson(path: PlannedPath, surface: Traversability) -> bytes:
     """A FeatureCollection: path, start, target, what is kept out of, and the hazards near the path as polygons.
 
@@ -376,7 +370,8 @@ def path_geojson(path: PlannedPath, surface: Traversability) -> bytes:
     """
     plan = path.plan
     projection = projection_or_none(plan.crs)
-    places = planned_pose(plan, np.linspace(0.0, plan.length_m, max(2, math.ceil(plan.length_m / EVERY_M) + 1)))[:, :2]
+    count = max(2, math.ceil(plan.length_m / LINE_STEP_M) + 1)
+    places = planned_pose(plan, np.linspace(0.0, plan.length_m, count))[:, :2]
     line = {"name": plan.name, "length_m": plan.length_m, "speed_m_s": plan.speed_m_s, "arcs": len(plan.legs)}
     line |= {"max_slope_deg": path.max_slope_deg, "cost_m": path.cost_m}
     features = [
@@ -408,7 +403,7 @@ def hazard_rings(path: PlannedPath, surface: Traversability) -> list[FloatArray]
     """
     terrain, plan = surface.terrain, path.plan
     places = planned_pose(plan, np.linspace(0.0, plan.length_m, 1000))[:, :2]
-    rows, columns = terrain.window(places, SHOWN_M)
+    rows, columns = terrain.window(places, SHOWN_MARGIN_M)
     hazard, half = surface.hazard[rows, columns].astype(np.int8), 0.5 * terrain.spacing_m
     steps = np.diff(hazard, axis=1, prepend=0, append=0)
     (row, first), (_, last) = np.nonzero(steps == 1), np.nonzero(steps == -1)

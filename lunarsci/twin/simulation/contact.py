@@ -45,6 +45,34 @@ VALID_SLIP = 0.6
 """Range of the slip ratio, to either side: see `MAX_VALID_SLIP`."""
 # Speeds [m/s] below this are none; a rim as slow as that stands still.
 SLOWEST = 1e-9
+# Of the ground under a wheel that stands, along its surface [N/m, N s/m]: stiff, so that it gives by less than a
+# millimetre before it yields, and about half of critical; for 22.5 kg on the wheel, and for another mass in proportion.
+# Assumed: no unloading of regolith along the surface is published.
+STAND_STIFFNESS, STAND_DAMPING = 1e5, 1500.0
+# A wheel that yields comes to rest when it moves by less than this share of what the stiffness gives in a step.
+CAUGHT = 0.01
+RISE_N_M4 = 503e6
+"""A_u of a dry sand (LETE sand, Wong 2008, table 2.4, not checked against the book), assumed for regolith, of which
+none is published. [N m^-4]"""
+SPACING_M = 0.0353
+"""Of the nodes, assumed: a quarter of a wheel's width, and no whole part of anything on a rover."""
+BEHIND = 2.0 + 1.0
+"""How far behind the axle a rut is left, in spacings: its strip reaches 2 ahead, and a wheel meets nodes 1 off."""
+MOST_NODES = 2e7
+"""Of one rover's grid; memory is taken only where a wheel rolls."""
+AXLE, CENTER, GROUND, RIM, RUT, SINKAGE, SOIL = (
+    WHEEL.first[name] for name in ("axle", "center", "ground", "rim", "rut", "sinkage", "soil")
+)
+# Assumed, for a calm touch-down: half of critical for this mass on a wheel [kg] on 7 kN/m, and for another in
+# proportion; the soil's own is not published. [N s/m]
+NORMAL_DAMPING, MASS_ON_WHEEL = 400.0, 22.5
+AT_REST, DRIVEN, HELD = 0, 1, 2
+# Travel over which the bearing takes up a change of slip [m]: at a creep it does not follow at once. Assumed, short
+# against the contact, so that a step under way passes it.
+TAKE_UP_M = 1e-3
+STEADY = 0.02
+"""A rim whose speed changes by less than this share in a step is under way; assumed."""
+RIM_ROW = WHEEL.first["rim"] * GROUP
 
 
 def contact_frame(slope_x: Any, slope_y: Any, axle: Any) -> Any:
@@ -72,14 +100,6 @@ def shear_center(sinkage: Any, slip: Any, tyre: Any) -> Any:
 def pressed_depth(sinkage: Any, tyre: Any) -> Any:
     """Sinkage within what the forces know. [m]"""
     return lowest(DEEPEST * tyre[0], highest(SHALLOWEST, sinkage))
-
-
-# Of the ground under a wheel that stands, along its surface [N/m, N s/m]: stiff, so that it gives by less than a
-# millimetre before it yields, and about half of critical; for 22.5 kg on the wheel, and for another mass in proportion.
-# Assumed: no unloading of regolith along the surface is published.
-STAND_STIFFNESS, STAND_DAMPING = 1e5, 1500.0
-# A wheel that yields comes to rest when it moves by less than this share of what the stiffness gives in a step.
-CAUGHT = 0.01
 
 
 @formula
@@ -163,22 +183,6 @@ def lean(wheels: Any, w: Any, tyre: Any, lane: Any) -> None:
     wheel.force = plus(wheel.force, (x, y, 0.0))
     wheel.moment = (below * y, -below * x, ahead * y)
     wheel.drawbar, wheel.side, wheel.resistance = x, -y, below * x
-
-
-RISE_N_M4 = 503e6
-"""A_u of a dry sand (LETE sand, Wong 2008, table 2.4, not checked against the book), assumed for regolith, of which
-none is published. [N m^-4]"""
-SPACING_M = 0.0353
-"""Of the nodes, assumed: a quarter of a wheel's width, and no whole part of anything on a rover."""
-BEHIND = 2.0 + 1.0
-"""How far behind the axle a rut is left, in spacings: its strip reaches 2 ahead, and a wheel meets nodes 1 off."""
-MOST_NODES = 2e7
-"""Of one rover's grid; memory is taken only where a wheel rolls."""
-
-
-AXLE, CENTER, GROUND, RIM, RUT, SINKAGE, SOIL = (
-    WHEEL.first[name] for name in ("axle", "center", "ground", "rim", "rut", "sinkage", "soil")
-)
 
 
 class RutGrid(NamedTuple):
@@ -304,17 +308,6 @@ def press(
                 ruts[lane, i, j, 0], ruts[lane, i, j, 1] = out * depth, out * still
 
 
-# Assumed, for a calm touch-down: half of critical for this mass on a wheel [kg] on 7 kN/m, and for another in
-# proportion; the soil's own is not published. [N s/m]
-NORMAL_DAMPING, MASS_ON_WHEEL = 400.0, 22.5
-AT_REST, DRIVEN, HELD = 0, 1, 2
-# Travel over which the bearing takes up a change of slip [m]: at a creep it does not follow at once. Assumed, short
-# against the contact, so that a step under way passes it.
-TAKE_UP_M = 1e-3
-STEADY = 0.02
-"""A rim whose speed changes by less than this share in a step is under way; assumed."""
-
-
 def steadied(v: Any, rim: Any, travel: Any, slid: Any, forces: Any, slopes: Any) -> Any:
     """Derivatives of the forces ahead and to the left by the velocity there, and the share that stops the slip.
 
@@ -431,9 +424,6 @@ def add_rows(work: Any, w: Any, number: Any, rover: Any, side: Any, time_step_s:
         work_done = dot(moved, wheel.force) + dot(turned, wheel.moment)
         right[i] = right[i] + (time_step_s * work_done - moved[2] * wheel.stiff[1])
     system.matrix, system.right = tuple(matrix), tuple(right)
-
-
-RIM_ROW = WHEEL.first["rim"] * GROUP
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]

@@ -30,6 +30,9 @@ Measured by the likelihood of `ALIKE_M`, which hardly tells 0.02 from 0.08; this
 `physics_discrepancy.FIRST`."""
 STILL_M = 1e-9
 """A step of the planned path that is shorter is one of a turn or a halt. [m]"""
+ALIKE_M = 5.0
+"""Way over which the physics is off by much the same share, as measured: the likelihood of the returns that set
+`physics_discrepancy.FIRST` is the same within 0.1 for 2 to 30 m."""
 
 
 def exposed_turns(planned: FloatArray, yaw_deg: FloatArray) -> FloatArray:
@@ -92,11 +95,6 @@ def turn_matrix(plan: Plan, planned: FloatArray, distance_m: FloatArray, paths: 
         return np.zeros((2, 2))
     lever = lever * float(np.median(exposed_turns(planned, paths[..., 5])))
     return TURNS.variance * np.outer(lever, lever)
-
-
-ALIKE_M = 5.0
-"""Way over which the physics is off by much the same share, as measured: the likelihood of the returns that set
-`physics_discrepancy.FIRST` is the same within 0.1 for 2 to 30 m."""
 
 
 def _left(steps: FloatArray) -> FloatArray:

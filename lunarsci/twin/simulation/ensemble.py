@@ -23,7 +23,8 @@ from lunarsci.twin.simulation.members import MOST_STEPS, DriveSetup, Grounds, dr
 PATH_COLUMNS = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg")
 OFFSET_COLUMNS = ("offset_x_m", "offset_y_m")
 MOST_BEYOND = 0.05
-"""Share of wheel states beyond the wheel model from which on what rests on them is in doubt; assumed."""
+"""Share of the values of a drive that may be beyond the wheel model, after the end of the plan, or outliers; what rests
+on more of them is in doubt. Assumed, one for all."""
 STATE_COLUMNS = (
     "x_m",
     "y_m",
@@ -190,16 +191,13 @@ def member_parameters(sweep: tuple[Sweep, ...], members: int | None, seed: int) 
     names = [entry.name for entry in sweep]
     if len(set(names)) < len(names):
         raise ParameterError(f"a parameter is swept twice: {', '.join(names)}")
-    if members is not None:
-        check_range("members", members, "[1, inf)")
+    count = math.prod(entry.count for entry in sweep) if members is None else members
+    check_range("members", count, f"[1, {MOST_MEMBERS}]", "sweep fewer values")
     if members is not None and not sweep:
         raise ParameterError(
             f"{members} members but no soil parameter to sample; give `sweep` NAME=LOW:HIGH:N, or soils to draw from "
             "as `soil`: a belief, or priors for what is believed before any drive"
         )
-    count = math.prod(entry.count for entry in sweep) if members is None else members
-    if count > MOST_MEMBERS:
-        raise ParameterError(f"{count} members are more than {MOST_MEMBERS}; sweep fewer values")
     if members is None or not sweep:
         axes = [np.linspace(entry.low, entry.high, entry.count) for entry in sweep]
         values = [mesh.ravel() for mesh in np.meshgrid(*axes, indexing="ij")]

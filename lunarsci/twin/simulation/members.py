@@ -53,6 +53,20 @@ SLOW_PARTS = 4
 
 STEER, RIM = (WHEEL.first[name] for name in ("steer", "rim"))
 RATIO = WHEEL.first["tread"] + 4
+X_ROW, Y_ROW, Z_ROW = (BODY.first[name] for name in ("x_row", "y_row", "z_row"))
+CENTER, SINKAGE, VELOCITY, NORMAL, DRAWBAR, SIDE, RESISTANCE, RUT = (
+    WHEEL.first[name] for name in ("center", "sinkage", "velocity", "normal", "drawbar", "side", "resistance", "rut")
+)
+MOST_STEPS = 1e7
+"""Minutes of computing for a single member."""
+SLOW = 0.4
+"""Share of the full speed below which a step is one of a start or a stop, and made in `SLOW_PARTS`."""
+OUTLINE = 2000
+"""Places along a plan about which ruts are kept."""
+STRAY_M = 1.5
+"""How far from its plan a rover still meets ruts; assumed. [m]"""
+FINER = (4, 16)
+"""How many times shorter the steps are that are tried in turn where a soil is not held by those asked for."""
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
@@ -76,12 +90,6 @@ def roll_on(work: Work, ahead: float, left: float, turn: float) -> None:
     axes = np.array([BODY.view(work.body, name) for name in ("x_row", "y_row", "z_row")])
     BODY.view(work.body, "speed")[:] = ahead * axes[:, 0] + left * axes[:, 1]
     BODY.view(work.body, "spin")[:] = turn * axes[:, 2]
-
-
-X_ROW, Y_ROW, Z_ROW = (BODY.first[name] for name in ("x_row", "y_row", "z_row"))
-CENTER, SINKAGE, VELOCITY, NORMAL, DRAWBAR, SIDE, RESISTANCE, RUT = (
-    WHEEL.first[name] for name in ("center", "sinkage", "velocity", "normal", "drawbar", "side", "resistance", "rut")
-)
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
@@ -185,16 +193,6 @@ def drive(
     work.frame[6] = 1.0
     for m in range(members):
         results[m, 0] = work.code[m]
-
-
-MOST_STEPS = 1e7
-"""Minutes of computing for a single member."""
-SLOW = 0.4
-"""Share of the full speed below which a step counts as one of a start or a stop; assumed."""
-OUTLINE = 2000
-"""Places along a plan about which ruts are kept."""
-STRAY_M = 1.5
-"""How far from its plan a rover still meets ruts; assumed. [m]"""
 
 
 class Grounds(Protocol):
@@ -336,8 +334,6 @@ def drive_group(
 
 Driven = tuple[FloatArray, FloatArray, IntArray, FloatArray]
 """Paths, states, results, and legs as steered after position fixes."""
-FINER = (4, 16)
-"""How many times shorter the steps are that are tried in turn where a soil is not held by those asked for."""
 
 
 @dataclass(frozen=True, eq=False)

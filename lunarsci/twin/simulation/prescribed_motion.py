@@ -24,11 +24,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from scipy.special import chdtri
 
-from lunarsci.arrays import BoolArray, FloatArray, IntArray, at_times
+from lunarsci.arrays import SIGNIFICANCE, BoolArray, FloatArray, IntArray, at_times
 from lunarsci.compiled import each_in_threads
 from lunarsci.errors import ParameterError
 from lunarsci.io.inputs import InputFile
+from lunarsci.ranges import CHANCE, check_range
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.inference.totals import BalancedStates, TotalsPosterior, infer_from_totals
 from lunarsci.regolith.states import COLUMNS, read_state_table
@@ -44,6 +46,29 @@ from lunarsci.twin.simulation.settle import balance, settle, tread
 
 if TYPE_CHECKING:
     import pandas as pd
+
+FORCES = ("normal_force_n", "drawbar_pull_n", "lateral_force_n")
+"""Forces of a wheel, in the order of all arrays here."""
+LARGEST_RESIDUAL = 0.05
+"""Share of the weight: a residual beyond it says that the soil or the motion is not as given; assumed."""
+FORCE_COLUMNS = [STATE_COLUMNS.index(name) for name in FORCES]
+MEASURED = ("sinkage_m", "slip_ratio", "side_slip_deg")
+DRAWS, FEWEST_DRAWS = 64, 16
+BALANCE_ERROR = 0.005
+"""Standard error of the balance as a share of the weight, for a slope that is off by 0.3 deg, and inertia; assumed."""
+LEAST_CARRIED = 0.5
+"""Share of the soils that have to carry the rover at a pose for its forces to be told; assumed."""
+TOTALS = ("ahead", "left", "moment")
+SOIL_STILL, FORCES_STILL = 0.1, 0.01
+"""Largest move of the soil's mean, in what remains of its standard deviations, and of pulls and lateral forces as a
+share of themselves, in a round that has converged."""
+OPPOSITE, NOT_SMALLER = -0.5, 0.8
+"""Cosine between two moves of the soil below which the second goes back, and the share of the first that it has at
+least where the rounds do not calm down: after such moves more rounds end no nearer."""
+MOST_ROUNDS, WORST_REDUCED = 50, 1.5
+"""Rounds, and reduced chi-square of the states beyond which no soil explains them; assumed."""
+ALIKE = math.sqrt(2.0 * math.pi)
+"""Correlation lengths over which errors count as one: the integral of exp(-d^2 / 2)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -201,13 +226,6 @@ def _results(
     )
 
 
-FORCES = ("normal_force_n", "drawbar_pull_n", "lateral_force_n")
-"""Forces of a wheel, in the order of all arrays here."""
-LARGEST_RESIDUAL = 0.05
-"""Share of the weight: a residual beyond it says that the soil or the motion is not as given; assumed."""
-FORCE_COLUMNS = [STATE_COLUMNS.index(name) for name in FORCES]
-
-
 def contact_jacobian(result: PrescribedLoads) -> FloatArray:
     """What one newton of each wheel's forces adds to the totals. (n, 3 totals, wheels, 3 forces) [-, -, m]
 
@@ -243,9 +261,6 @@ def _shear_centers(result: PrescribedLoads) -> tuple[FloatArray, FloatArray]:
     sinkage, slip = (result.states[..., STATE_COLUMNS.index(name)] for name in ("sinkage_m", "slip_ratio"))
     ahead, below = shear_center(sinkage, slip, result.rover.wheel.vector())
     return ahead, below
-
-
-MEASURED = ("sinkage_m", "slip_ratio", "side_slip_deg")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -296,16 +311,6 @@ def correlation_length(motion: Motion, states: PoseStates | None) -> tuple[float
     shown = states.valid & np.isin(states.time_s, motion.time_s[~motion.no_speed])
     result = correlation_of(motion, states.values[shown, 1], states.sigmas[shown, 1])
     return (CORRELATION_M, "assumed") if result is None else (result, "slip errors")
-
-
-DRAWS, FEWEST_DRAWS = 64, 16
-BALANCE_ERROR = 0.005
-"""Standard error of the balance as a share of the weight, for a slope that is off by 0.3 deg, and inertia; assumed."""
-LEAST_CARRIED = 0.5
-"""Share of the soils that have to carry the rover at a pose for its forces to be told; assumed."""
-TOTALS = ("ahead", "left", "moment")
-SURPRISING = 4.0
-"""Reduced chi-square of the residual wrench beyond which no drawn soil explains the motion; assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -368,7 +373,7 @@ class LoadEnsemble:
     def doubt_of_soils(self) -> str:
         """Why the drawn soils are not those of the motion; empty where they may be. Needs poses with forces."""
         surprise = float(np.median(self.surprise[self.with_forces]))
-        if surprise <= SURPRISING:
+        if surprise <= chdtri(len(TOTALS), SIGNIFICANCE) / len(TOTALS):
             return ""
         return (
             f"what the wheels do not supply is beyond the drawn soils (reduced chi-square {surprise:.1f}): the soil, "
@@ -436,10 +441,8 @@ def draw_loads(
     10.1007/s10236-003-0036-9.
     """
     rows = soil_overrides(soils, len(next(iter(soils.values()))))
-    if len(rows) < FEWEST_DRAWS:
-        raise ParameterError(f"{len(rows)} draws are too few for a standard deviation; give {FEWEST_DRAWS} or more")
-    if not 0 < balance_error < 1:
-        raise ParameterError(f"the error of the balance is {balance_error:g}; give a share above 0 and below 1")
+    check_range("draws", len(rows), f"[{FEWEST_DRAWS}, inf)")
+    check_range("balance_error", balance_error, CHANCE)
     center = soil_overrides({name: np.array([value]) for name, value in middle.items()}, 1)[0]
     motions = list(drawn_motions(motion, len(rows), correlation_m, np.random.default_rng(seed)))
     still, same = [motion] * len(rows), np.tile(center, (len(rows), 1))
@@ -532,18 +535,6 @@ def _parts(forces: list[FloatArray], noise: FloatArray, fitted: float = 1.0) -> 
     return np.stack([soil, motion, noise, whole - soil - motion])
 
 
-SOIL_STILL, FORCES_STILL = 0.1, 0.01
-"""Largest move of the soil's mean, in what remains of its standard deviations, and of pulls and lateral forces as a
-share of themselves, in a round that has converged; assumed."""
-OPPOSITE, NOT_SMALLER = -0.5, 0.8
-"""Cosine between two moves of the soil below which the second goes back, and the share of the first that it has at
-least where the rounds do not calm down; assumed."""
-MOST_ROUNDS, WORST_REDUCED = 50, 1.5
-"""Rounds, and reduced chi-square of the states beyond which no soil explains them; assumed."""
-ALIKE = math.sqrt(2.0 * math.pi)
-"""Correlation lengths over which errors count as one: the integral of exp(-d^2 / 2)."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Round:
     """What one round changed.
@@ -613,8 +604,7 @@ def alternate(
 
     Raises ParameterError for rounds out of range, and states without anything to learn from.
     """
-    if not 1 <= rounds <= MOST_ROUNDS:
-        raise ParameterError(f"{rounds} rounds; give 1 to {MOST_ROUNDS}")
+    check_range("rounds", rounds, f"[1, {MOST_ROUNDS}]")
 
     def forces_on(soil: SoilBelief, number: int) -> LoadEnsemble:
         return draw_loads(

@@ -343,7 +343,7 @@ def test_a_belief_opens_its_wheel_about_the_angles_of_its_file(yutu2: Rover) -> 
     assert [ends[name][0] for name in ROLLING] == pytest.approx([0.5, 0.0, 0.0, 1.0])
     assert ends["max_stress_c1"][2] == pytest.approx(0.62) and set(opened.sd_ratio.values()) == {1.0}
     assert np.array_equal(opened.soil.mean, first_belief().mean)
-    assert np.array_equal(opened.inflated(1.0).covariance, opened.covariance)
+    assert np.array_equal(opened.forgotten(1.0).covariance, opened.covariance)
     assert list(contact_rows(opened)) == list(ROLLING) and contact_rows(first_belief()) == {}
     assert list(parameter_rows(opened)) == list(PARAMETERS)
     with pytest.raises(ParameterError, match="none or all of max_stress_c1"):

@@ -99,7 +99,7 @@ def test_soils_of_another_law_than_the_twins_are_named(tmp_path: Path, kind: str
         (said,) = [str(one.message) for one in heard if "inferred" in str(one.message)]
         assert f"law '{model}'" in said and ("does not keep" in said) == lost and "the law 'given'" in said
         assert said in found.remarks and found.soil_record()["caution"] == said
-        assert Soils.of(found, None, 3, 1).doubt == said
+        assert Soils.of(found, None, 3, 1).doubt.reasons == (said,)
 
 
 @pytest.mark.parametrize("kind", [".csv", ".json"])

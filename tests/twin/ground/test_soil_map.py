@@ -111,7 +111,7 @@ def test_the_belief_along_a_way_is_the_mixture_over_it() -> None:
     assert whole.mean == pytest.approx(FIRST.mean, abs=1e-9)
     wanted = 0.5 * (one.covariance + two.covariance) + np.outer(WIDTH, WIDTH)
     assert whole.covariance == pytest.approx(wanted, abs=1e-9)
-    forgotten = soil.belief_along(at((0.5, 0.0))).inflated(1.0)
+    forgotten = soil.belief_along(at((0.5, 0.0))).forgotten(1.0)
     assert forgotten.mean == pytest.approx(FIRST.mean) and forgotten.covariance == pytest.approx(FIRST.covariance)
 
 

@@ -13,9 +13,9 @@ from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.hazards import ExclusionZone
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.judgement.choice import Conditions, DriveChoice, choose, drive_candidates, joined, ranked, verdicts
-from lunarsci.twin.judgement.keeping import Chance, least_drives
 from lunarsci.twin.judgement.quantities import along
 from lunarsci.twin.plans.plan import AT_LEAST, Leg, Limit, Plan
+from lunarsci.twin.plans.risk import AcceptedRisk, Chance
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import Prediction
 
@@ -84,10 +84,10 @@ def test_the_bounds_are_those_of_the_beta_law_and_cover_as_often_as_they_say() -
 
 def test_the_fewest_drives_that_can_promise_a_risk() -> None:
     for risk in (0.3, 0.05, 0.01):
-        least = least_drives(risk)
+        least = AcceptedRisk(risk).least_drives
         assert Chance(0, least).risk <= risk < Chance(0, least - 1).risk if least > 1 else True
-    with pytest.raises(ParameterError, match="above 0 and below 1"):
-        least_drives(1.0)
+    with pytest.raises(ParameterError, match="above 0, below 1"):
+        AcceptedRisk(1.0)
 
 
 def test_the_weakest_place_is_where_the_ground_is_steepest(yutu2: Rover, conditions: Conditions) -> None:
@@ -123,7 +123,7 @@ def test_a_wider_way_wins_where_the_tight_one_is_risky(conditions: Conditions) -
     zone = (ExclusionZone("rock", 2.0, -1.3, 0.5),)
     tight = plan(Leg(4.0), limits=LAX, zones=zone)
     wide = plan(Leg(1.2, 0.6), Leg(2.4, -0.6), Leg(1.2, 0.6), limits=LAX, zones=zone)
-    found = choose([tight, wide], there, risk=0.3, members=24)
+    found = choose([tight, wide], there, risk=AcceptedRisk(0.3), members=24)
     assert [one.number for one in found.candidates] == [2, 1] and found.feasible
     assert found.candidates[1].stated.risk > 0.3 and found.candidates[1].weakest.quantity == "keep_out_m"
     assert found.candidates[1].length_m < found.best.length_m
@@ -131,14 +131,14 @@ def test_a_wider_way_wins_where_the_tight_one_is_risky(conditions: Conditions) -
 
 def test_of_drives_that_are_alike_the_safest_is_the_best(conditions: Conditions) -> None:
     """85.4 and 86.2 J are within 1 %, 87 J is not; beyond the accepted risk energy counts for nothing."""
-    base = choose([plan(Leg(1.0))], conditions, risk=0.3, members=24).best
+    base = choose([plan(Leg(1.0))], conditions, risk=AcceptedRisk(0.3), members=24).best
     told = [(86.2, 1), (85.4, 3), (87.0, 0), (80.0, 30)]
     found = [
         dataclasses.replace(base, number=k, energy_j=energy, promise=Chance(failed, 64))
         for k, (energy, failed) in enumerate(told, 1)
     ]
-    assert [one.number for one in ranked(found, 0.1, "energy")] == [1, 2, 3, 4]
-    assert [one.number for one in ranked(found, 0.1, "risk")] == [3, 1, 2, 4]
+    assert [one.number for one in ranked(found, AcceptedRisk(0.1), "energy")] == [1, 2, 3, 4]
+    assert [one.number for one in ranked(found, AcceptedRisk(0.1), "risk")] == [3, 1, 2, 4]
 
 
 def ways() -> list[Plan]:
@@ -151,8 +151,8 @@ def ways() -> list[Plan]:
 @pytest.mark.parametrize("risk", [0.05, 0.3, 0.6])
 def test_the_race_has_the_winner_of_the_full_run(conditions: Conditions, risk: float) -> None:
     plans = ways()
-    raced = choose(plans, conditions, risk=risk, members=32)
-    full = choose(plans, conditions, risk=risk, members=32, racing=False)
+    raced = choose(plans, conditions, risk=AcceptedRisk(risk), members=32)
+    full = choose(plans, conditions, risk=AcceptedRisk(risk), members=32, racing=False)
     assert raced.best.number == full.best.number and raced.feasible == full.feasible
     assert sum(one.prediction.members for one in raced.candidates) < sum(
         one.prediction.members for one in full.candidates
@@ -160,7 +160,7 @@ def test_the_race_has_the_winner_of_the_full_run(conditions: Conditions, risk: f
 
 
 def test_none_on_the_front_is_beaten_and_all_others_are(conditions: Conditions) -> None:
-    found: DriveChoice = choose(ways(), conditions, risk=0.3, members=32, racing=False)
+    found: DriveChoice = choose(ways(), conditions, risk=AcceptedRisk(0.3), members=32, racing=False)
 
     def aims(number: int) -> tuple[float, float, float]:
         one = next(one for one in found.candidates if one.number == number)
@@ -177,11 +177,11 @@ def test_none_on_the_front_is_beaten_and_all_others_are(conditions: Conditions) 
 
 def test_where_none_keeps_the_risk_it_says_what_stands_in_the_way(conditions: Conditions) -> None:
     steep = [dataclasses.replace(one, limits=(*LAX, limit("tilt_deg", 10.0, "deg"))) for one in ways()]
-    found = choose(steep, conditions, risk=0.05, members=16)
+    found = choose(steep, conditions, risk=AcceptedRisk(0.05), members=16)
     assert not found.feasible and found.best.stated.risk > 0.9
     assert found.obstacles == (("tilt_deg", 12),)
     both = [dataclasses.replace(one, limits=(*one.limits, limit("sinkage_m", 1e-4, "m"))) for one in steep]
-    broken = choose(both[:2], conditions, risk=0.05, members=16).best.broken
+    broken = choose(both[:2], conditions, risk=AcceptedRisk(0.05), members=16).best.broken
     limits = {one.quantity: one for one in broken if one.quantity != "unfinished"}
     assert {name: one.limit for name, one in limits.items()} == {"tilt_deg": 10.0, "sinkage_m": 1e-4}
     for name, one in limits.items():
@@ -190,7 +190,7 @@ def test_where_none_keeps_the_risk_it_says_what_stands_in_the_way(conditions: Co
 
 
 def test_the_promise_is_counted_on_soils_that_had_no_part_in_the_choice(conditions: Conditions) -> None:
-    found = choose(ways(), conditions, risk=0.5, members=16)
+    found = choose(ways(), conditions, risk=AcceptedRisk(0.5), members=16)
     assert found.fresh and found.best.promise is not None and found.best.promise.drives == 32
     again = drive_candidates(conditions, [found.best.plan], range(16, 48))[0]
     assert verdicts(again).chance == found.best.promise
@@ -198,8 +198,8 @@ def test_the_promise_is_counted_on_soils_that_had_no_part_in_the_choice(conditio
 
 def test_too_few_soils_for_the_risk_are_refused(conditions: Conditions) -> None:
     with pytest.raises(ParameterError, match=r"a risk of 0\.001 needs 499 or more"):
-        choose(ways(), conditions, risk=0.001)
+        choose(ways(), conditions, risk=AcceptedRisk(0.001))
     with pytest.raises(ParameterError, match="no limits"):
-        choose([plan(Leg(1.0), limits=())], conditions, risk=0.5, members=16)
+        choose([plan(Leg(1.0), limits=())], conditions, risk=AcceptedRisk(0.5), members=16)
     with pytest.raises(ParameterError, match="no plans to choose from"):
-        choose([], conditions, risk=0.5)
+        choose([], conditions, risk=AcceptedRisk(0.5))

@@ -159,7 +159,7 @@ def test_ranges_are_read_or_refused() -> None:
     for text in ("a=2:1:3", "a=1:2:1", "a=nan:2:3"):
         with pytest.raises(ParameterError, match="LOW < HIGH"):
             parse_variation(text)
-    with pytest.raises(ParameterError, match=r"\d+ designs; give 1 to 2000"):
+    with pytest.raises(ParameterError, match=r"designs is \d+; give 1 to 2000"):
         design_values([parse_variation("a=0:1:50"), parse_variation("b=0:1:50")], None, 0)
 
 

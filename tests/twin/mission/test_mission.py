@@ -256,7 +256,7 @@ def test_a_mission_is_read(tmp_path: Path) -> None:
         ("x_m = 5", "", "has no x_m"),
         ("stay_s = 600", "stay_s = -1", "0 or more"),
         ("stay_s = 600", "stays = 600", "not a key"),
-        ("leg_m = 4", "leg_m = 0", "0.5 to 25"),
+        ("leg_m = 4", "leg_m = 0", "a number above 0"),
         ("leg_m = 4", "leg_m = true", "give a number"),
         ("end_s = 3000", "end_s = 0", "begin_s < end_s"),
         ("end_s = 3000", "end_s = 3000\n[[window]]\nbegin_s = 10\nend_s = 20", "before the one before it ends"),
