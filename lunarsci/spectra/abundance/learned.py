@@ -17,10 +17,10 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.io.tables import SPECTRA_DATA
+from lunarsci.minerals import WEIGHED
 from lunarsci.spectra.spectrum import Spectrum
 
 TABLE = "share_networks.npz"
-MINERALS = ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase")
 STEP_NM = 20.0
 """Between channels of the networks: features of minerals are ten times as wide. Assumed."""
 GRID_NM = np.arange(450.0, 2451.0, STEP_NM)
@@ -61,7 +61,7 @@ class Network:
             x = x @ weight + bias
             if number < len(self.layers) - 1:
                 x = np.maximum(x, 0.0)
-        power = x.reshape(-1, len(MINERALS), SHARES.size)
+        power = x.reshape(-1, len(WEIGHED), SHARES.size)
         odds = np.exp(power - power.max(axis=-1, keepdims=True))
         return only(odds / odds.sum(axis=-1, keepdims=True), allowed)
 
@@ -105,7 +105,7 @@ class Foretold:
     @classmethod
     def of_nothing(cls, count: int) -> "Foretold":
         """Of spectra that have no channel here: any share is as likely."""
-        even = np.full((count, len(MINERALS), SHARES.size), 1.0 / SHARES.size)
+        even = np.full((count, len(WEIGHED), SHARES.size), 1.0 / SHARES.size)
         return cls(even, np.zeros(count), np.ones(count), np.full(count, np.log(3.0)))
 
     def put(self, rows: Sequence[int], other: "Foretold") -> None:
@@ -226,7 +226,7 @@ def foretell(
     seen = np.log(np.maximum(reflectance, SMALLEST)) @ weights[there].T
     error = np.zeros_like(seen) if noise is None else np.sqrt(noise**2 @ (weights[there] ** 2).T)
     quiet = error.max(axis=1) <= NOISE
-    probabilities, distance, shallow = np.zeros((len(seen), len(MINERALS), SHARES.size)), *np.zeros((2, len(seen)))
+    probabilities, distance, shallow = np.zeros((len(seen), len(WEIGHED), SHARES.size)), *np.zeros((2, len(seen)))
     for rows in (np.flatnonzero(quiet), *np.flatnonzero(~quiet)[:, None]):
         noise_here = np.zeros(seen.shape[1]) if rows.size == 0 or quiet[rows[0]] else error[rows[0]]
         distance[rows] = background.ln_distance(seen[rows], there, noise_here)

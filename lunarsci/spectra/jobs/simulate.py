@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 from lunarsci.errors import ParameterError
 from lunarsci.io.tables import table_hashes
+from lunarsci.minerals import MINERALS
 from lunarsci.options import request_of
 from lunarsci.result import MadeFrom, Result
 from lunarsci.spectra.jobs.requests import SimulateVnisRequest
-from lunarsci.spectra.mgm.assemblages import MINERALS
 from lunarsci.spectra.mgm.assemblages import TABLES as BANDS_TABLES
 from lunarsci.spectra.photometry import TABLE as PHASE_TABLE
 from lunarsci.spectra.photometry import Geometry, phase_function

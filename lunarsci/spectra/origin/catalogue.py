@@ -12,7 +12,8 @@ from lunarsci.constants import MOON_RADIUS_KM
 from lunarsci.errors import DataError, ParameterError, warn
 from lunarsci.io.inputs import InputFile
 from lunarsci.io.tables import check_columns, table_rows
-from lunarsci.spectra.origin.composition import ABOVE_0, BANDS, MINERALS, Composition, check_ranges
+from lunarsci.minerals import WITH_BANDS
+from lunarsci.spectra.origin.composition import ABOVE_0, BANDS, Composition, check_ranges
 from lunarsci.spectra.readers.columns import rows_by_id
 from lunarsci.spectra.rows import number
 
@@ -75,7 +76,7 @@ FEWEST_TO_DOUBT = 3
 REQUIRED = ("name", "latitude_deg", "longitude_deg", "diameter_km")
 SOURCES = ("position_source", "age_source", "composition_source", "source")
 PAIRS = {"age_low_ma": "age_high_ma"} | {
-    name: f"{name.removesuffix('_nm')}_sigma{'_nm' if name in BANDS else ''}" for name in (*MINERALS, *BANDS)
+    name: f"{name.removesuffix('_nm')}_sigma{'_nm' if name in BANDS else ''}" for name in (*WITH_BANDS, *BANDS)
 }
 """Columns that go together."""
 COLUMNS = (*REQUIRED, *(column for pair in PAIRS.items() for column in pair), *SOURCES)
@@ -163,7 +164,7 @@ def _crater(row: Mapping[str, str]) -> Crater:
     torn = [f"{one} and {other} go together" for one, other in PAIRS.items() if (one in values) != (other in values)]
     if lacking := [f"{column} is empty" for column in REQUIRED if column not in cells] + torn:
         raise ParameterError(f"{lacking[0]}; complete the line")
-    modes, bands = ({name: pairs[name] for name in some if name in pairs} for some in (MINERALS, BANDS))
+    modes, bands = ({name: pairs[name] for name in some if name in pairs} for some in (WITH_BANDS, BANDS))
     return Crater(
         name=cells["name"],
         **{column: values[column] for column in REQUIRED[1:]},

@@ -19,10 +19,9 @@ from lunarsci.io import inputs
 from lunarsci.io.documents import json_document
 from lunarsci.io.inputs import InputFile
 from lunarsci.io.tables import table_rows
-from lunarsci.spectra.mgm.assemblages import MINERALS as BY_KEY
+from lunarsci.minerals import WITH_BANDS, WORDS
 from lunarsci.spectra.rows import number
 
-MINERALS = tuple(BY_KEY.values())
 BANDS = {"bc1000_nm": (700.0, 1300.0), "bc2000_nm": (1500.0, 2600.0)}
 """Band centres, and the range outside which a value is no such centre; assumed. [nm]"""
 LARGEST_SUM = 1.1
@@ -50,7 +49,7 @@ class Composition:
 
     Attributes
     ----------
-    modes : fraction of some of `MINERALS`, 0 to 1; by volume or weight, only their shares count.
+    modes : fraction of some of `WITH_BANDS`, 0 to 1; by volume or weight, only their shares count.
     bands : some of `bc1000_nm` and `bc2000_nm`. [nm]
     correlation : of the modes in their order, (n, n); independent where None.
 
@@ -62,7 +61,7 @@ class Composition:
     correlation: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        for given, ranges in ((self.modes, dict.fromkeys(MINERALS, (0.0, 1.0))), (self.bands, BANDS)):
+        for given, ranges in ((self.modes, dict.fromkeys(WITH_BANDS, (0.0, 1.0))), (self.bands, BANDS)):
             for name, (value, sigma) in given.items():
                 if name not in ranges:
                     raise ParameterError(f"'{name}' is no mineral or band here; there are {', '.join(ranges)}")
@@ -194,7 +193,7 @@ def _from_shares(abundance: Mapping[str, Any], kind: str, name: str) -> Rock | N
             f"its shares hold the prior {prior}, which is no evidence of a crater, and do not count; unmix without it"
         )
         return Rock(name, Composition(), (text,))
-    given = {mineral: abundance.get(mineral) or {} for mineral in MINERALS}
+    given = {mineral: abundance.get(mineral) or {} for mineral in WITH_BANDS}
     modes = {mineral: _interval(item) for mineral, item in given.items() if item.get("low") is not None}
     determined = [mineral for mineral in modes if given[mineral].get("fraction") is not None]
     remarks: list[str] = ["its shares are those of the first method (`abundance` in JSON)"]
@@ -239,7 +238,7 @@ def measured_errors(kind: str) -> Mapping[str, float]:
     """
     squares: dict[str, dict[str, list[float]]] = {}
     for row in table_rows(ERRORS):
-        for mineral in MINERALS:
+        for mineral in WITH_BANDS:
             if row["class"] == kind and row[f"error_{mineral}"]:
                 of_suite = squares.setdefault(mineral, {}).setdefault(row["suite"], [])
                 of_suite.append(float(row[f"error_{mineral}"]) ** 2)
@@ -296,8 +295,6 @@ def _merged(one: Rock, other: Rock) -> Rock:
     return Rock(one.id, both, (*one.remarks, *other.remarks), (*one.tables, *other.tables))
 
 
-SHORT = {key.lower(): mineral for key, mineral in BY_KEY.items()}
-"""Abbreviations of minerals."""
 BAND_NAMES = {"bc1000": "bc1000_nm", "bc2000": "bc2000_nm", "bc1000_nm": "bc1000_nm", "bc2000_nm": "bc2000_nm"}
 
 
@@ -310,7 +307,7 @@ def stated_composition(
 
     Raises RequestError for another text, ParameterError as `Composition` does.
     """
-    shares = _pairs(modes, "modes", SHORT | {mineral: mineral for mineral in MINERALS})
+    shares = _pairs(modes, "modes", {word: name for word, name in WORDS.items() if name in WITH_BANDS})
     shares, remark = widened(shares, kind) if kind else (shares, "")
     return Composition(shares, _pairs(bands, "bands", BAND_NAMES)), (remark,) if remark else ()
 
@@ -332,6 +329,8 @@ def _pairs(text: str | None, option: str, names: dict[str, str]) -> dict[str, Va
         if name in pairs:
             raise RequestError(f"`{option}`: {name} is there twice; give it once")
         if not (equals and colon and name):
-            raise RequestError(f"`{option}` '{part}': give NAME=VALUE:ERROR, with a NAME of {', '.join(names)}")
+            raise RequestError(
+                f"`{option}` '{part}': give NAME=VALUE:ERROR, with a NAME of {', '.join(dict.fromkeys(names.values()))}"
+            )
         pairs[name] = (stated_number(value, f"`{option}` {key}"), stated_number(sigma, f"`{option}` {key}"))
     return pairs

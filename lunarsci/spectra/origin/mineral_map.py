@@ -17,9 +17,10 @@ import numpy.typing as npt
 from lunarsci.arrays import FloatArray
 from lunarsci.constants import MOON_RADIUS_KM
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.minerals import WITH_BANDS
 from lunarsci.spectra.cubes.rasters import HDF, netcdf, opened, start_of
 from lunarsci.spectra.origin.catalogue import Crater, destination
-from lunarsci.spectra.origin.composition import LARGEST_SUM, MINERALS, Composition, check_ranges
+from lunarsci.spectra.origin.composition import LARGEST_SUM, Composition, check_ranges
 
 if TYPE_CHECKING:
     from rasterio.io import DatasetReader
@@ -73,8 +74,8 @@ def with_maps(
 
 
 def _check_request(maps: Mapping[str, str], annulus: tuple[float, float]) -> None:
-    if len(maps) < 2 or not maps.keys() <= set(MINERALS):
-        raise ParameterError(f"maps of {', '.join(maps)} give no shares; give two or more of {', '.join(MINERALS)}")
+    if len(maps) < 2 or not maps.keys() <= set(WITH_BANDS):
+        raise ParameterError(f"maps of {', '.join(maps)} give no shares; give two or more of {', '.join(WITH_BANDS)}")
     low, high = annulus
     check_ranges(("start of the ring", low, 0, 20, "rim radii"), ("end of the ring", high, low + 1e-9, 20, "rim radii"))
 
@@ -86,7 +87,7 @@ def minerals_of(file: str) -> list[str]:
     else:
         with opened(file, "GTiff") as dataset:
             names = [name or "" for name in dataset.descriptions]
-    return [mineral for mineral in MINERALS if LAYER.format(mineral) in names]
+    return [mineral for mineral in WITH_BANDS if LAYER.format(mineral) in names]
 
 
 @contextmanager

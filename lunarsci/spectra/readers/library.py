@@ -19,6 +19,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.figure import LINE_STYLES, as_label, page
 from lunarsci.io.inputs import InputFile
+from lunarsci.minerals import ABBREVIATIONS, CHEMISTRY, COMPONENTS, CONSTITUENTS, MINERALS, WORDS
 from lunarsci.provenance import plain
 from lunarsci.spectra.readers.columns import assign_roles, rows_by_id
 from lunarsci.spectra.readers.dispatch import read_spectra
@@ -28,36 +29,16 @@ from lunarsci.spectra.spectrum import Spectrum, channel_arrays
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-MINERALS = ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase", "opaque", "glass", "other")
-CHEMISTRY = {
-    "olivine": ("fo",),
-    "orthopyroxene": ("fs", "en", "wo"),
-    "clinopyroxene": ("fs", "en", "wo"),
-    "plagioclase": ("an",),
-}
-"""Which components describe which mineral; the others have none."""
-_ALIASES = {
-    "ol": "olivine",
-    "opx": "orthopyroxene",
-    "lcp": "orthopyroxene",
-    "cpx": "clinopyroxene",
-    "hcp": "clinopyroxene",
-    "plg": "plagioclase",
-    "plag": "plagioclase",
-    "ilmenite": "opaque",
-    "ilm": "opaque",
-}
 
 
 def mineral_named(name: str) -> str | None:
-    """One of `MINERALS` by its name or usual abbreviation, None for a blank. Raises DataError for any other."""
+    """One of `CONSTITUENTS` by its name or usual abbreviation, None for a blank. Raises DataError for any other."""
     word = name.strip().casefold()
     if not word:
         return None
-    result = _ALIASES.get(word, word)
-    if result not in MINERALS:
-        raise DataError(f"mineral {name!r} is not known; use one of {', '.join(MINERALS)}")
-    return result
+    if word not in WORDS:
+        raise DataError(f"mineral {name!r} is not known; use one of {', '.join(CONSTITUENTS)}")
+    return WORDS[word]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +48,7 @@ class EndMember:
     Attributes
     ----------
     id : name of the spectrum, not empty.
-    mineral : one of `MINERALS`; None where nobody said.
+    mineral : one of `CONSTITUENTS` (`lunarsci/minerals.py`); None where nobody said.
     wavelength_nm : shape (n,), n >= 1, finite, above 0, strictly ascending. [nm]
     reflectance : shape (n,), finite, fraction of 1; what is not above 0 or above 1 is for `check_library` to find. [-]
     fo, fs, en, wo, an : forsterite, ferrosilite, enstatite, wollastonite, anorthite; mole fraction 0 to 1, or None. [-]
@@ -95,8 +76,8 @@ class EndMember:
     specimen: str = ""
 
     def __post_init__(self) -> None:
-        if not self.id.strip() or (self.mineral is not None and self.mineral not in MINERALS):
-            what = f"mineral {self.mineral!r}, or an empty id; minerals are {', '.join(MINERALS)}"
+        if not self.id.strip() or (self.mineral is not None and self.mineral not in CONSTITUENTS):
+            what = f"mineral {self.mineral!r}, or an empty id; minerals are {', '.join(CONSTITUENTS)}"
             raise DataError(f"{self.id}: {what}")
         wavelength, reflectance = channel_arrays(self.id, self.wavelength_nm, self.reflectance)
         if not np.isfinite(reflectance).all():
@@ -107,7 +88,7 @@ class EndMember:
 
     def _check_sample(self) -> None:
         for names, most, what in (
-            (("fo", "fs", "en", "wo", "an"), 1.0, "no mole fraction; give 0 to 1, not per cent"),
+            (COMPONENTS, 1.0, "no mole fraction; give 0 to 1, not per cent"),
             (("min_um", "max_um"), 1e9, "no grain size; give um, 0 or more"),
         ):
             for name in names:
@@ -119,13 +100,13 @@ class EndMember:
 
     def sample(self) -> dict[str, Any]:
         """Everything but the id and the spectrum, as plain values."""
-        names = ("mineral", "fo", "fs", "en", "wo", "an", "min_um", "max_um", "source")
+        names = ("mineral", *COMPONENTS, "min_um", "max_um", "source")
         result = {name: getattr(self, name) for name in names}
         return result | ({"specimen": self.specimen} if self.specimen else {})
 
 
 FORMAT = "lunarsci-library/1"
-_NUMBERS = ("fo", "fs", "en", "wo", "an", "min_um", "max_um")
+_NUMBERS = (*COMPONENTS, "min_um", "max_um")
 
 
 def read_library(
@@ -240,7 +221,7 @@ MOST_NAMES = 12
 
 def library_pages(members: Sequence[EndMember]) -> "Iterator[Figure]":
     """One page; colour runs with the first component of the chemistry, grey where unknown; at most 12 are named."""
-    groups = {mineral: [m for m in members if m.mineral == mineral] for mineral in (*MINERALS, None)}
+    groups = {mineral: [m for m in members if m.mineral == mineral] for mineral in (*CONSTITUENTS, None)}
     groups = {mineral: group for mineral, group in groups.items() if group}
     columns = min(2, len(groups))
     rows = -(-len(groups) // columns)
@@ -283,8 +264,6 @@ MIXTURE = "mixture"
 """What stands for the mineral of a sample that is none."""
 PURE = 0.95
 """Share of the volume from which a sample is taken as an end member of its mineral; assumed."""
-_MODES = {"vol_ol": "olivine", "vol_opx": "orthopyroxene", "vol_cpx": "clinopyroxene", "vol_plg": "plagioclase"}
-_PREFIXES = {"orthopyroxene": "opx_", "clinopyroxene": "cpx_"}
 
 
 def read_metadata(source: InputFile) -> dict[str, dict[str, Any]]:
@@ -298,8 +277,8 @@ def read_metadata(source: InputFile) -> dict[str, dict[str, Any]]:
 
 def _description(row: Mapping[str, str], place: str) -> dict[str, Any]:
     mineral = _mineral(row, place)
-    prefix = _PREFIXES.get(mineral or "", "")
-    wanted = CHEMISTRY.get(mineral, ()) if mineral else ("fo", "fs", "en", "wo", "an")
+    prefix = f"{ABBREVIATIONS.get(mineral or '', '')}_".lower()
+    wanted = CHEMISTRY.get(mineral, ()) if mineral else COMPONENTS
     result: dict[str, Any] = {"mineral": mineral, "source": row.get("source", "")}
     for key in _NUMBERS:
         if key in wanted or key.endswith("_um"):
@@ -319,8 +298,9 @@ def _mineral(row: Mapping[str, str], place: str) -> str | None:
             return mineral_named(stated)
         except DataError as error:
             raise DataError(f"{place}: {error}") from error
+    columns = {f"vol_{key.lower()}": mineral for key, mineral in MINERALS.items()}
     modes = {
-        mineral: _value(row[key], f"{place}, column {key}") or 0.0 for key, mineral in _MODES.items() if key in row
+        mineral: _value(row[key], f"{place}, column {key}") or 0.0 for key, mineral in columns.items() if key in row
     }
     total = sum(modes.values())
     if not modes or total <= 0:
@@ -407,7 +387,7 @@ def _chemistry_faults(member: EndMember) -> list[str]:
     wanted = CHEMISTRY.get(member.mineral or "", ())
     texts = [
         f"{key} = {getattr(member, key):g} in a mineral without it ({member.mineral}); delete it"
-        for key in ("fo", "fs", "en", "wo", "an")
+        for key in COMPONENTS
         if key not in wanted and getattr(member, key) is not None
     ]
     if "fs" in wanted:
