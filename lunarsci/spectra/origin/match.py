@@ -634,7 +634,7 @@ def _status(rock: Rock, matches: Sequence[CraterMatch], other: float, decided: b
 
 
 def assumptions(
-    matches: Sequence[RockMatch],
+    matches: RockMatches,
     given: tuple[str, Sequence[MapReport]],
     site_of_rocks: tuple[Point, bool],
     settings: MatchSettings,
@@ -649,10 +649,20 @@ def assumptions(
         f"{settings.band_systematic_nm:g} nm in a band centre, one standard deviation (assumed)",
         f"other sources than these craters: prior {prior.other_weight:g}, any composition (assumed)",
         *_craters_notes(matches[0].craters, settings),
+        *_not_compared(matches),
     ]
     if prior.kind == "uniform":
         return [*lines, "prior: all craters alike but those that contain the site", *_map_notes(maps)]
     return [*lines, *_prior_notes(site, settings, matches[0].craters), *_map_notes(maps)]
+
+
+def _not_compared(matches: RockMatches) -> list[str]:
+    """Minerals of rocks that no crater states, where any states modes."""
+    stated = {mineral for crater in matches.craters for mineral in crater.composition.modes}
+    of_rocks = np.isfinite(matches.evidence.rocks.modes).any(axis=0)
+    left = [mineral for k, mineral in enumerate(WITH_BANDS) if of_rocks[k] and mineral not in stated]
+    text = f"no crater states its {' or '.join(left)}: shares of the rocks are compared without"
+    return [text] if left and stated else []
 
 
 def _craters_notes(items: Sequence[CraterMatch], settings: MatchSettings) -> list[str]:
