@@ -16,13 +16,11 @@ from lunarsci.spectra.abundance.learned import GRID_NM, STEP_NM
 from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model, unit_of
 from lunarsci.spectra.readers.columns import rows_by_id
-from lunarsci.spectra.readers.library import EndMember, mineral_named
+from lunarsci.spectra.readers.library import NEEDED_NM, EndMember, mineral_named
 from lunarsci.spectra.rows import number, quoted
 from lunarsci.spectra.spectrum import WIDEST_GAP_NM, Spectrum, reaches_over
 
 LOWEST_NM, HIGHEST_NM = map(float, GRID_NM[[0, -1]])
-NEEDED_NM = (750.0, 2300.0)
-"""What a spectrum must reach over, from one side of the 1 um band to the 2 um band; assumed."""
 FARTHEST_NM = 5.0
 """How far means of one channel may lie apart where spectra are compared together; assumed."""
 

@@ -32,7 +32,7 @@ from lunarsci.spectra.abundance.mixing import (
     population,
 )
 from lunarsci.spectra.abundance.shares import Mixed
-from lunarsci.spectra.readers.library import EndMember
+from lunarsci.spectra.readers.library import SUM_TOLERANCE, EndMember
 from lunarsci.spectra.spectrum import Spectrum
 
 NEUTRAL = np.array([0.1, 0.05, 0.02])
@@ -328,8 +328,6 @@ MODEL_ERROR = 0.03
 with it 68 % intervals of laboratory mixtures hold the truth in 67-75 %, all samples of their series left out of the
 library."""
 LEAST_MINERALS, MOST_SPECTRA = 2, 500
-SUM_TOLERANCE = 0.02
-"""How far known shares may miss a sum of 1; assumed."""
 
 
 def estimate_series(

@@ -18,7 +18,7 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.io.tables import SPECTRA_DATA
 from lunarsci.minerals import WEIGHED
-from lunarsci.spectra.spectrum import Spectrum
+from lunarsci.spectra.spectrum import NARROW_NM, Spectrum
 
 TABLE = "share_networks.npz"
 STEP_NM = 20.0
@@ -26,9 +26,6 @@ STEP_NM = 20.0
 GRID_NM = np.arange(450.0, 2451.0, STEP_NM)
 SHARES = np.linspace(0.0, 1.0, 21)
 """Shares whose probabilities are foretold: mixtures are seldom weighed better than to 5 %. Assumed."""
-GAP_NM = 60.0
-"""Between channels no farther apart than this ln R is taken as straight, a third of the narrowest band of olivine and
-pyroxene; beyond, channels are missing. Assumed."""
 NOISE = 0.02
 """Noise of ln R at 20 nm up to which networks see a spectrum as it is; measured: they were trained with up to that."""
 DRAWS = 12
@@ -184,7 +181,7 @@ def unpacked(arrays: Mapping[str, FloatArray]) -> tuple[tuple[Network, ...], Bac
 def on_grid(wavelength_nm: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Weights (101, c) that make channels of `GRID_NM` of ascending channels (c,), and which of them are there (101,).
 
-    Means of channels within 10 nm where they are denser than that, else straight between neighbours up to `GAP_NM`
+    Means of channels within 10 nm where they are denser than that, else straight between neighbours up to `NARROW_NM`
     apart.
     """
     weights = (np.abs(GRID_NM[:, None] - wavelength_nm) <= STEP_NM / 2).astype(np.float64)
@@ -193,7 +190,7 @@ def on_grid(wavelength_nm: FloatArray) -> tuple[FloatArray, BoolArray]:
     after = np.searchsorted(wavelength_nm, GRID_NM)
     inside = np.flatnonzero((after > 0) & (after < wavelength_nm.size))
     low, high = wavelength_nm[after[inside] - 1], wavelength_nm[after[inside]]
-    sparse = (high - low > STEP_NM / 2) & (high - low <= GAP_NM)
+    sparse = (high - low > STEP_NM / 2) & (high - low <= NARROW_NM)
     rows, part = inside[sparse], ((GRID_NM[inside] - low) / (high - low))[sparse]
     weights[rows] = 0.0
     weights[rows, after[rows] - 1], weights[rows, after[rows]] = 1.0 - part, part

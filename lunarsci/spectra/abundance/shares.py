@@ -142,8 +142,8 @@ GOOD = 0.15
 LIKELY = 0.7
 """Probability of each share being so near from which a spectrum is in domain; measured: then 9 in 10 had all shares so
 near, of spectra of suites left out (`share_validation.csv`)."""
-SOME = 0.05
-"""Share above which a mineral counts as there; assumed."""
+SOME = float(SHARES[1])
+"""Share above which a mineral counts as there: the least that the networks know."""
 OPEN = (0.1, 0.9)
 """Probabilities of that between which a mineral is open; assumed."""
 NOTHING = 0.5

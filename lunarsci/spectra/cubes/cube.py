@@ -17,6 +17,7 @@ import numpy.typing as npt
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.compiled import compiled
 from lunarsci.errors import DataError, LunarSciWarning, warn
+from lunarsci.io.tables import MOST_CELLS
 from lunarsci.spectra.readers.likely import unnamed_markers
 from lunarsci.spectra.readers.table import MAX_FRACTION, Column, WavelengthUnit, wavelength_nm
 
@@ -28,8 +29,6 @@ SYNTHETIC = "SYNTHETIC"
 """In the remarks of a cube that is made up."""
 FEWEST_CHANNELS = 5
 MOST_VALUES = 10**13
-MOST_ON_A_LINE = 50_000_000
-"""Numbers of one line, which are in memory together; assumed."""
 LINES_LOOKED_AT = 16
 _ROTATED = re.compile(r"^(pca?|mnf|ica?|principal component|minimum noise|eigen)\b.*\d", re.IGNORECASE)
 
@@ -286,9 +285,9 @@ def _check_numbers(layout: Layout, stated: Stated) -> None:
     lines, samples = layout.shape
     if lines < 1 or samples < 1 or lines * samples > MOST_VALUES:
         raise DataError(f"{layout.name}: {lines} lines and {samples} samples are no image; check the header")
-    if (bands := 0 if layout.wavelength is None else len(layout.wavelength)) * samples > MOST_ON_A_LINE:
+    if (bands := 0 if layout.wavelength is None else len(layout.wavelength)) * samples > MOST_CELLS:
         raise DataError(
-            f"{layout.name}: {samples} samples of {bands} bands on a line, and at most {MOST_ON_A_LINE / 1e6:.0f} "
+            f"{layout.name}: {samples} samples of {bands} bands on a line, and at most {MOST_CELLS / 1e6:.0f} "
             "million numbers are read of one; cut out a part, or check the header"
         )
     if layout.dtype.kind == "c":

@@ -31,6 +31,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError, warn
 from lunarsci.heights.rasters import MOST_BLOCK_BYTES, check_blocks
 from lunarsci.io.inputs import read_input, text, unheard
+from lunarsci.io.tables import MOST_CELLS
 from lunarsci.spectra.cubes.cube import (
     MOST_VALUES,
     SYNTHETIC,
@@ -309,8 +310,6 @@ def open_vnis(path: str) -> Layout:
 HINT = "cubes and maps need rasterio, xarray and h5netcdf; install them with: pip install 'lunarsci[cubes]'"
 _TIFF = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 HDF = b"\x89HDF"
-MOST_ON_AN_AXIS = 10_000_000
-"""Coordinates along an axis, which are read whole; assumed."""
 _WAVELENGTH = re.compile(
     r"^(wavelengths?|wvls?|wl|lambda|band_?(wavelength|center|centre)s?)(_?(nm|um))?$", re.IGNORECASE
 )
@@ -491,7 +490,7 @@ def _netcdf(path: str, engine: str, *_version: int) -> Any:
 
 
 def _check_size(path: str, name: Any, shape: Sequence[int], chunks: Sequence[int], item_bytes: int) -> None:
-    if len(shape) < 2 and math.prod(shape) > MOST_ON_AN_AXIS:
+    if len(shape) < 2 and math.prod(shape) > MOST_CELLS:
         raise DataError(
             f"{path}: '{name}' has {math.prod(shape)} numbers, too many for an axis; fetch or write it again"
         )

@@ -17,7 +17,7 @@ from lunarsci.minerals import ABBREVIATIONS, WEIGHED
 from lunarsci.names import some_of
 from lunarsci.options import request_of
 from lunarsci.result import MadeFrom, Result, job
-from lunarsci.spectra.abundance.end_members import NEEDED_NM, OPAQUE, StatedModes, reaches, read_modes
+from lunarsci.spectra.abundance.end_members import OPAQUE, StatedModes, reaches, read_modes
 from lunarsci.spectra.abundance.end_members import TABLE as END_MEMBERS
 from lunarsci.spectra.abundance.estimate import estimate_series
 from lunarsci.spectra.abundance.kinds import TABLE as KINDS
@@ -37,7 +37,7 @@ from lunarsci.spectra.chemistry.bands import chondrite_record, chondrites
 from lunarsci.spectra.jobs.fit import Progress
 from lunarsci.spectra.jobs.requests import UnmixRequest
 from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource, read_batch
-from lunarsci.spectra.readers.library import EndMember, read_library
+from lunarsci.spectra.readers.library import NEEDED_NM, EndMember, read_library
 from lunarsci.spectra.spectrum import Spectrum
 
 if TYPE_CHECKING:

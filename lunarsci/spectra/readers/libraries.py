@@ -23,6 +23,7 @@ from lunarsci.errors import DataError
 from lunarsci.io import inputs
 from lunarsci.io.documents import json_document
 from lunarsci.io.inputs import InputFile, read_input
+from lunarsci.io.tables import MOST_CELLS
 from lunarsci.spectra.readers.arrangements import on_one_grid
 from lunarsci.spectra.readers.astropy_tables import one_line, spectrum_table
 from lunarsci.spectra.readers.columns import assign_roles
@@ -189,8 +190,6 @@ _RECORD = re.compile(r"^##\s*([^=]*?)\s*=\s*(.*)$")
 _FORM = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[Ee][+-]?\d+)?|[@A-Ia-i%J-Rj-rS-Zs]\d*|\?")
 _SQUEEZED, _DIFFERENCE, _DUPLICATE = "@ABCDEFGHIabcdefghi", "%JKLMNOPQRjklmnopqr", "STUVWXYZs"
 """Letters for the first digit 0 to 9, then -1 to -9; of duplicates 1 to 9."""
-MOST_POINTS = 10_000_000
-"""Of a spectrum; assumed."""
 _TABULAR = ("XYDATA", "XYPOINTS")
 LIKE_JCAMP, LIKE_MRT = re.compile(r"##\s*(TITLE|JCAMP)", re.IGNORECASE), "Byte-by-byte Description of file"
 
@@ -280,8 +279,8 @@ def _ordinates(body: str, what: str) -> FloatArray:
         for form in forms:
             if form[0] in _DUPLICATE:
                 times = int(f"{_DUPLICATE.index(form[0]) + 1}{form[1:]}") - 1
-                if len(values) + times > MOST_POINTS:
-                    raise DataError(f"{what}: more than {MOST_POINTS} points; fetch it again")
+                if len(values) + times > MOST_CELLS:
+                    raise DataError(f"{what}: more than {MOST_CELLS} points; fetch it again")
                 values += [values[-1] + step * (k + 1) for k in range(times)] if values else []
             elif form[0] in _DIFFERENCE:
                 step, differences = _digits(form, _DIFFERENCE), True

@@ -25,7 +25,7 @@ from lunarsci.spectra.readers.columns import assign_roles, rows_by_id
 from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.readers.table import ReflectanceUnit, WavelengthUnit
 from lunarsci.spectra.rows import number, quoted
-from lunarsci.spectra.spectrum import Spectrum, channel_arrays
+from lunarsci.spectra.spectrum import WIDEST_GAP_NM, Spectrum, channel_arrays
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -330,11 +330,9 @@ FEWEST_CHANNELS = 20
 HIGHEST = 1.2
 """Reflectance factors of bright powders exceed 1, hardly this; assumed."""
 SUM_TOLERANCE = 0.02
-"""Fs + En + Wo may differ from 1 by this: analyses leave out Mn, Na, Al; assumed."""
-GAP_NM, GAP_STEPS = 50.0, 5.0
-"""A step between channels is a gap if it is this wide and this many times the median step; assumed."""
-NEEDED_NM = (700.0, 2400.0)
-"""What a spectrum should cover to describe both bands; assumed."""
+"""Fs + En + Wo, or shares that are stated, may differ from 1 by this: analyses leave out Mn, Na, Al; assumed."""
+NEEDED_NM = (750.0, 2300.0)
+"""What a spectrum must reach over to be mixed, from one side of the 1 um band to the 2 um band; assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -419,5 +417,5 @@ def gaps(member: EndMember) -> list[tuple[float, float]]:
     steps = np.diff(member.wavelength_nm)
     if steps.size < 2:
         return []
-    wide = np.flatnonzero((steps > GAP_NM) & (steps > GAP_STEPS * np.median(steps)))
+    wide = np.flatnonzero(steps > WIDEST_GAP_NM)
     return [(float(member.wavelength_nm[k]), float(member.wavelength_nm[k + 1])) for k in wide]

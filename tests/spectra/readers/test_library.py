@@ -267,7 +267,7 @@ def test_what_must_be_mended(member: EndMember, word: str) -> None:
     [
         ({"max_um": None}, "grain size unknown"),
         ({"fs": None, "en": None, "wo": None}, "no fs, no en, no wo: composition unknown"),
-        ({"wavelength_nm": GRID + 300}, "covers 750-2750 nm"),
+        ({"wavelength_nm": GRID + 310}, "covers 760-2760 nm"),
         ({"wavelength_nm": np.where(GRID > 1000, GRID + 100, GRID)}, "gap of 105 nm after 1000 nm"),
     ],
 )
