@@ -147,7 +147,7 @@ SOME = float(SHARES[1])
 OPEN = (0.1, 0.9)
 """Probabilities of that between which a mineral is open; assumed."""
 NOTHING = 0.5
-"""Probability of knowing nothing from which no share is named; assumed."""
+"""Probability of knowing nothing from which no share is named: the more probable."""
 FINE = np.linspace(0.0, 1.0, 201)
 MAFIC = ("olivine", "orthopyroxene", "clinopyroxene")
 RATIOS = {"olivine_in_mafic": (("olivine",), MAFIC), "orthopyroxene_in_pyroxene": (("orthopyroxene",), MAFIC[1:])}

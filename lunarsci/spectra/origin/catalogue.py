@@ -13,7 +13,8 @@ from lunarsci.errors import DataError, ParameterError, warn
 from lunarsci.io.inputs import InputFile
 from lunarsci.io.tables import check_columns, table_rows
 from lunarsci.minerals import WITH_BANDS
-from lunarsci.spectra.origin.composition import ABOVE_0, BANDS, Composition, check_ranges
+from lunarsci.ranges import check_range
+from lunarsci.spectra.origin.composition import BANDS, Composition
 from lunarsci.spectra.readers.columns import rows_by_id
 from lunarsci.spectra.rows import number
 
@@ -23,7 +24,8 @@ Point = tuple[float, float]
 
 def checked_point(latitude_deg: float, longitude_deg: float) -> Point:
     """Latitude -90 to 90 and longitude east -180 to 360 of a point; else ParameterError. [deg]"""
-    check_ranges(("latitude", latitude_deg, -90, 90, "deg"), ("longitude", longitude_deg, -180, 360, "deg east"))
+    check_range("latitude", latitude_deg, "[-90, 90]")
+    check_range("longitude", longitude_deg, "[-180, 360]", "degrees east")
     return float(latitude_deg), float(longitude_deg)
 
 
@@ -109,11 +111,9 @@ class Crater:
     def __post_init__(self) -> None:
         checked_point(self.latitude_deg, self.longitude_deg)
         youngest, oldest = self.age_ma
-        check_ranges(
-            ("diameter", self.diameter_km, ABOVE_0, LARGEST_KM, "km"),
-            ("age", youngest, ABOVE_0, OLDEST_MA, "Ma"),
-            ("oldest age", oldest, youngest, OLDEST_MA, "Ma"),
-        )
+        check_range("diameter_km", self.diameter_km, f"(0, {LARGEST_KM}]")
+        check_range("youngest age", youngest, f"(0, {OLDEST_MA}]")
+        check_range("oldest age", oldest, f"[{youngest}, {OLDEST_MA}]")
 
     @property
     def center(self) -> Point:

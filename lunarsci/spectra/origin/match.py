@@ -23,8 +23,9 @@ from lunarsci.minerals import WITH_BANDS
 from lunarsci.names import some_of
 from lunarsci.parallel.blocks import Progress, arrays_in_blocks
 from lunarsci.provenance import sha256
+from lunarsci.ranges import SHARE, check_ranges
 from lunarsci.spectra.origin.catalogue import Crater, Point, azimuth_deg
-from lunarsci.spectra.origin.composition import SMALLEST_SIGMA, Composition, Rock, check_ranges, closed
+from lunarsci.spectra.origin.composition import SMALLEST_SIGMA, Composition, Rock, closed
 from lunarsci.spectra.origin.mineral_map import MapReport
 from lunarsci.spectra.origin.prior import (
     CraterPrior,
@@ -313,10 +314,7 @@ class MatchSettings:
     prior: PriorSettings
 
     def __post_init__(self) -> None:
-        check_ranges(
-            ("systematic", self.systematic, 0, 1, ""),
-            ("systematic of the bands", self.band_systematic_nm, 0, 500, "nm"),
-        )
+        check_ranges(self, {SHARE: "systematic", "[0, 500]": "band_systematic_nm"})
 
 
 @dataclass(frozen=True, slots=True)
