@@ -31,13 +31,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def mineral_named(name: str) -> str | None:
+def mineral_named(name: str, where: str = "") -> str | None:
     """One of `CONSTITUENTS` by its name or usual abbreviation, None for a blank. Raises DataError for any other."""
     word = name.strip().casefold()
     if not word:
         return None
     if word not in WORDS:
-        raise DataError(f"mineral {name!r} is not known; use one of {', '.join(CONSTITUENTS)}")
+        raise DataError(f"{where}mineral {name!r} is not known; use one of {', '.join(CONSTITUENTS)}")
     return WORDS[word]
 
 
@@ -123,16 +123,13 @@ def read_library(
     """
     spectra = read_spectra(source, wavelength_unit=wavelength_unit, reflectance_unit=reflectance_unit)
     measured = [spectrum for spectrum in spectra if np.isfinite(spectrum.reflectance).any()]
-    if not measured:
-        raise DataError(f"{source.name}: none of its {len(spectra)} spectra has a reflectance; check the file")
     return [_member(spectrum, source.name) for spectrum in measured]
 
 
 def _member(spectrum: Spectrum, file: str) -> EndMember:
     header = spectrum.metadata.get("header")
-    described = header.get("end_members", {}) if isinstance(header, Mapping) else {}
-    if not isinstance(described, Mapping):
-        raise DataError(f"{file}: 'end_members' in the header is no mapping; write the library again")
+    described = header.get("end_members") if isinstance(header, Mapping) else {}
+    described = described if isinstance(described, Mapping) else {}
     column = str(spectrum.metadata.get("column", ""))
     id = column if column in described else spectrum.id
     return _in_file(spectrum, id, described.get(column, {}), file)
@@ -151,15 +148,10 @@ def end_member(spectrum: Spectrum, sample: Any, *, id: str | None = None) -> End
     Fields that are left out or None are unknown. Raises DataError for a value that is none, or a spectrum without any.
     """
     name = id or spectrum.id
-    if not isinstance(sample, Mapping):
-        raise DataError(f"{name}: its description is no mapping of names to values; write the library again")
     measured = np.isfinite(spectrum.reflectance)
-    if not measured.any():
-        raise DataError(f"{name}: has no reflectance in any channel; delete it")
-    try:
-        mineral = mineral_named(str(sample.get("mineral") or ""))
-    except DataError as error:
-        raise DataError(f"{name}: {error}") from error
+    if not isinstance(sample, Mapping) or not measured.any():
+        raise DataError(f"{name}: its description is no mapping of names to values, or no reflectance; delete it")
+    mineral = mineral_named(str(sample.get("mineral") or ""), f"{name}: ")
     notes: dict[str, Any] = {key: _number(sample.get(key), f"{name}: {key}") for key in _NUMBERS}
     notes |= {key: str(sample.get(key) or "") for key in ("source", "specimen")}
     return EndMember(name, mineral, spectrum.wavelength_nm[measured], spectrum.reflectance[measured], **notes)
@@ -199,11 +191,10 @@ def to_ecsv(members: Sequence[EndMember], provenance: Mapping[str, Any] | None =
 
 
 def _check_ids(ids: Sequence[str]) -> None:
-    if not ids:
-        raise DataError("a library needs at least one end member; none is left")
-    twice = next((id for id in ids if ids.count(id) > 1), None)
-    if twice is not None:
-        raise DataError(f"{twice}: two end members have this id; rename one of them")
+    twice = next((id for id in ids if ids.count(id) > 1), "")
+    if twice or not ids:
+        what = f"{twice}: two end members have this id; rename one" if ids else "no end member is left for the library"
+        raise DataError(what)
     for id in ids:
         with warnings.catch_warnings():
             warnings.simplefilter("error", LunarSciWarning)
@@ -294,10 +285,7 @@ def _mineral(row: Mapping[str, str], place: str) -> str | None:
     if stated.casefold() == MIXTURE:
         return MIXTURE
     if stated:
-        try:
-            return mineral_named(stated)
-        except DataError as error:
-            raise DataError(f"{place}: {error}") from error
+        return mineral_named(stated, f"{place}: ")
     columns = {f"vol_{key.lower()}": mineral for key, mineral in MINERALS.items()}
     modes = {
         mineral: _value(row[key], f"{place}, column {key}") or 0.0 for key, mineral in columns.items() if key in row
