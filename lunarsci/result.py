@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, ParamSpec, TypeAlias, TypeVar, 
 
 from lunarsci.errors import Failure, LunarSciWarning, ParameterError
 from lunarsci.figure import styled
+from lunarsci.minerals import WITH_BANDS
 from lunarsci.options import options_text, request_of
 from lunarsci.provenance import Provenance, document, plain, to_json
 
@@ -58,7 +59,7 @@ UNITS = {
     "w": "W",
 }
 """Unit by the last part of a key, the longest first; that of `stiffness_kpa_m_n` depends on the exponent, so none."""
-_MINERAL, _OF = "(olivine|orthopyroxene|clinopyroxene|plagioclase)", "(_(low|high|sigma)(68|95)?)?$"
+_MINERAL, _OF = f"({'|'.join(WITH_BANDS)})", "(_(low|high|sigma)(68|95)?)?$"
 MEANT = (
     (re.compile(f"^([a-z0-9]+_)?{_MINERAL}{_OF}"), "", "share of the mineral, as a fraction of 1"),
     (re.compile(f"^{_MINERAL}_present$"), "", "probability of more than 5 % of the mineral"),

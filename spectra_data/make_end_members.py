@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from lunarsci.io.inputs import read_input
-from lunarsci.spectra.abundance.end_members import CHEMISTRY, FAMILY_OF
+from lunarsci.minerals import ABBREVIATIONS, COMPONENTS
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model, prior_covariance, unit_of
 from lunarsci.spectra.mgm.result import MgmFit
@@ -47,7 +47,7 @@ COLUMNS = (
     "source",
     "specimen",
     "mineral",
-    *CHEMISTRY,
+    *COMPONENTS,
     "min_um",
     "max_um",
     "lowest_nm",
@@ -59,7 +59,7 @@ COLUMNS = (
 def relab(folder: Path) -> list[tuple[Spectrum, dict[str, object]]]:
     """Powders of single minerals of a RELAB collection with what its manifest says."""
     rows = pd.read_csv(folder / "manifest.csv").set_index("id")
-    keys = dict(zip(("vol_ol", "vol_opx", "vol_cpx", "vol_plg"), FAMILY_OF, strict=True))
+    keys = dict(zip(("vol_ol", "vol_opx", "vol_cpx", "vol_plg"), ABBREVIATIONS, strict=True))
     found = []
     for spectrum in read_spectra(read_input(str(folder / "reflectance.csv"))):
         row = rows.loc[spectrum.id]
@@ -75,7 +75,7 @@ def relab(folder: Path) -> list[tuple[Spectrum, dict[str, object]]]:
             "plagioclase": {"an": row["an"]},
         }[mineral]
         told = sum(own.values()) > 0 and not spectrum.id.startswith(MISSTATED)
-        specimen = "-".join([FAMILY_OF[mineral], *(f"{1000 * value:.0f}" for value in own.values())])
+        specimen = "-".join([ABBREVIATIONS[mineral], *(f"{1000 * value:.0f}" for value in own.values())])
         stated = {key: round(100 * value, 1) for key, value in own.items() if told}
         about = {"source": "relab", "specimen": specimen, "mineral": mineral}
         found.append((spectrum, about | stated | sizes(row)))
@@ -128,7 +128,7 @@ def filed(spectrum: Spectrum, mineral: str) -> str:
 def described(spectrum: Spectrum, about: dict[str, object]) -> dict[str, object] | None:
     """A row of the table; None for a spectrum that its mineral's bands do not describe."""
     about = about | {"mineral": filed(spectrum, str(about["mineral"]))}
-    model = describing(FAMILY_OF[str(about["mineral"])])
+    model = describing(ABBREVIATIONS[str(about["mineral"])])
     [fit] = fit_spectra([spectrum], model, model_error=ERROR)
     if not isinstance(fit, MgmFit) or fit.rms_ln > WORST:
         return None
@@ -147,7 +147,7 @@ def main() -> None:
         for pair in relab(folder / "relab") + relab(folder / "minerals") + usgs(folder)
         if (row := described(*pair)) is not None
     ]
-    names = list(dict.fromkeys(name for family in FAMILY_OF.values() for name in mgm_model(family).names))
+    names = list(dict.fromkeys(name for family in ABBREVIATIONS.values() for name in mgm_model(family).names))
     writer = csv.DictWriter(sys.stdout, [*COLUMNS, *names], restval="", lineterminator="\n")
     writer.writeheader()
     writer.writerows({key: "" if value is np.nan else value for key, value in row.items()} for row in rows)

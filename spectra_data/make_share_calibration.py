@@ -24,10 +24,11 @@ from lunarsci.spectra_data.make_share_networks import FOLDS, PARTS, PURE, LabSpe
 from scipy.optimize import minimize
 
 from lunarsci.io.inputs import read_input
+from lunarsci.minerals import WEIGHED
 from lunarsci.spectra.abundance.end_members import embedded_end_members, on_common_channels
 from lunarsci.spectra.abundance.estimate import estimate_series
 from lunarsci.spectra.abundance.kinds import find_kinds
-from lunarsci.spectra.abundance.learned import MINERALS, Foretold, foretell_each, shared_out, unpacked
+from lunarsci.spectra.abundance.learned import Foretold, foretell_each, shared_out, unpacked
 from lunarsci.spectra.abundance.shares import (
     GOOD,
     LIKELY,
@@ -164,7 +165,7 @@ def mixtures_of(
         ids = {powders.ids[row] for row in np.flatnonzero(fold == fold[group[0]])}
         specimens = {item.specimen for item in library if item.id in ids} - {""}
         rest = [item for item in library if item.id not in ids and item.specimen not in specimens]
-        minerals = [name for name, own in zip(MINERALS, allowed[group[0]], strict=True) if own]
+        minerals = [name for name, own in zip(WEIGHED, allowed[group[0]], strict=True) if own]
         one = estimate_series([spectra[row] for row in group], minerals, end_members=rest)
         found.probabilities[group], found.strange[group], found.rms_ln[group] = (
             one.probabilities,
@@ -324,7 +325,7 @@ def judged(every: Sequence[Cases], found: Sequence[Nested]) -> list[dict[str, st
                 **{f"width{level}": np.median(own.width[k][m][there]) for k, level in enumerate((68, 95))},
                 "present_error": calibration_error(own.present[m][there], one.truth[m][there] > SOME),
             }
-            rms = zip(MINERALS, np.sqrt((error[m] ** 2).mean(axis=0)), strict=True)
+            rms = zip(WEIGHED, np.sqrt((error[m] ** 2).mean(axis=0)), strict=True)
             rows.append({"way": one.way, "spectra": name, "count": str(m.sum())}
                         | {f"rms_{mineral}": f"{value:.3f}" for mineral, value in rms}
                         | {key: f"{value:.2f}" for key, value in numbers.items()})  # fmt: skip
@@ -357,7 +358,7 @@ def write(out: Path, known: Known, every: Sequence[Cases], found: Sequence[Neste
     with (out / "share_errors.csv").open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(
-            ["class", "suite", "id", "in_domain", *(f"error_{m}" for m in MINERALS), *(f"sigma_{m}" for m in MINERALS)]
+            ["class", "suite", "id", "in_domain", *(f"error_{m}" for m in WEIGHED), *(f"sigma_{m}" for m in WEIGHED)]
         )
         names = {"mixture": "powder-mixture", "meteorite": "dark-rock-powder", "rock": "solid-rock"}
         one, own = every[0], found[0]

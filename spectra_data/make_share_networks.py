@@ -21,10 +21,10 @@ import numpy as np
 import pandas as pd
 
 from lunarsci.io.inputs import read_input
+from lunarsci.minerals import WEIGHED
 from lunarsci.spectra.abundance.end_members import embedded_end_members
 from lunarsci.spectra.abundance.learned import (
     GRID_NM,
-    MINERALS,
     SMALLEST,
     Background,
     Network,
@@ -35,7 +35,7 @@ from lunarsci.spectra.abundance.learned import (
 from lunarsci.spectra.abundance.mixing import Albedo, HapkeSurface, iron_absorption
 from lunarsci.spectra.readers import read_spectra
 
-COLUMNS = dict(zip(MINERALS, ("vol_ol", "vol_opx", "vol_cpx", "vol_plg"), strict=True))
+COLUMNS = dict(zip(WEIGHED, ("vol_ol", "vol_opx", "vol_cpx", "vol_plg"), strict=True))
 PARTS = ("relab", "meteorites", "minerals")
 FOLDS, NETWORKS = 8, (True, False, True, False, True)
 """Parts that suites are dealt into; networks, and whether each sees shapes below the hull."""
@@ -118,8 +118,8 @@ def measured(folder: Path) -> LabSpectra:
 
 def library_powders() -> LabSpectra:
     """Those of the USGS, from the library of end members; suites by the beginning of the name."""
-    own = [item for item in embedded_end_members(GRID_NM) if item.source == "usgs" and item.mineral in MINERALS]
-    shares = np.array([[float(item.mineral == mineral) for mineral in MINERALS] for item in own])
+    own = [item for item in embedded_end_members(GRID_NM) if item.source == "usgs" and item.mineral in WEIGHED]
+    shares = np.array([[float(item.mineral == mineral) for mineral in WEIGHED] for item in own])
     suites = np.array(["USGS-" + item.id.split("_")[0] for item in own])
     ids = [item.id for item in own]
     rows = np.log(np.array([item.reflectance for item in own]))
@@ -146,16 +146,16 @@ def mixtures(
     mixing = Albedo(HapkeSurface())
     element = mixing.element(np.exp(powders.ln_reflectance))
     kind = np.where(powders.shares.max(axis=1) > PURE, powders.shares.argmax(axis=1), -1)
-    pools = [np.flatnonzero(kind == k) for k in range(len(MINERALS))]
+    pools = [np.flatnonzero(kind == k) for k in range(len(WEIGHED))]
     chances = [_weights(powders.suites[pool]) for pool in pools]
     everyone = _weights(powders.suites)
     number = rng.choice(np.arange(1, len(recipe.powders) + 1), count, p=recipe.powders)
-    part = rng.gamma(np.ones((count, len(MINERALS)))) * (np.arange(len(MINERALS)) < number[:, None])
+    part = rng.gamma(np.ones((count, len(WEIGHED)))) * (np.arange(len(WEIGHED)) < number[:, None])
     part /= part.sum(axis=1, keepdims=True)
     order = np.argsort(rng.random(part.shape), axis=1)
     common = rng.normal(0.0, recipe.common_size, count)
     mixed, section, shares = np.zeros((count, GRID_NM.size)), np.zeros(count), np.zeros(part.shape)
-    for place in range(len(MINERALS)):
+    for place in range(len(WEIGHED)):
         rows = np.flatnonzero(place < number)
         free = (number[rows] == 1) | (rng.random(rows.size) < recipe.any_powder)
         chosen = rng.choice(len(everyone), rows.size, p=everyone)
@@ -270,7 +270,7 @@ def trained(powders: LabSpectra, seed: int, shaped: bool, recipe: Recipe) -> tup
     x = features(ln_reflectance, shaped)
     mean, scale = x.mean(axis=0), x.std(axis=0) + 1e-3
     x, wanted = ((x - mean) / scale).astype(np.float32), shared_out(shares).astype(np.float32)
-    learner = Learner((x.shape[1] + len(MINERALS), *recipe.hidden, wanted[0].size), rng)
+    learner = Learner((x.shape[1] + len(WEIGHED), *recipe.hidden, wanted[0].size), rng)
     total = recipe.epochs * (recipe.count // recipe.batch)
     for _ in range(recipe.epochs):
         order = rng.permutation(recipe.count)

@@ -20,6 +20,7 @@ SHARED = {
     "rovers",
     "spectra_data",
     "result",
+    "minerals",
     "names",
     "options",
     "ranges",

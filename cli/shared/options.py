@@ -307,7 +307,7 @@ def _soils() -> list[str]:
 def _assemblages() -> list[str]:
     from itertools import combinations
 
-    from lunarsci.spectra.mgm.assemblages import MINERALS
+    from lunarsci.minerals import MINERALS
 
     return ["auto", *("-".join(some) for n in range(1, len(MINERALS) + 1) for some in combinations(MINERALS, n))]
 

@@ -12,6 +12,7 @@ import typer
 from lunarsci.cli import command_line
 from pages_of_code import attributes_of, unit_and_meaning
 
+from lunarsci.minerals import WITH_BANDS
 from lunarsci.result import UNITS, unit_of
 
 ROOT = Path(__file__).parents[2]
@@ -185,7 +186,7 @@ PARTS = {
     "probability": "its probability",
     "opx": "share of orthopyroxene in both pyroxenes",
     "cpx": "share of clinopyroxene in both pyroxenes",
-    **{mineral: f"of {mineral}" for mineral in ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase")},
+    **{mineral: f"of {mineral}" for mineral in WITH_BANDS},
     "none": "probability that there is none",
     "opaque": "probability of an opaque phase",
     "metal-troilite": "probability of metal and troilite",

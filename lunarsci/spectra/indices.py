@@ -15,7 +15,7 @@ from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.collection import alike_channels
 from lunarsci.spectra.noise import scatter_noise_rows
-from lunarsci.spectra.spectrum import LARGEST_SMOOTH_NM, smoothing_operator
+from lunarsci.spectra.spectrum import LARGEST_SMOOTH_NM, NARROW_NM, smoothing_operator
 
 Evaluated: TypeAlias = tuple[FloatArray, FloatArray]
 Formula: TypeAlias = Callable[[FloatArray], Evaluated]
@@ -24,8 +24,6 @@ Formula: TypeAlias = Callable[[FloatArray], Evaluated]
 SOILS = (0.03, 0.4)
 """Reflectance factors at 750 nm that soils of the Moon have, at 30, 0 and 30 deg, with room (assumed); what is beyond
 is no such soil, or was scaled."""
-WIDEST_GAP_NM = 60.0
-"""Channels farther apart say nothing of a wavelength between them; M3 has 20 and 40 nm (assumed)."""
 STATUSES = ("ok", "beyond_range", "no_channels", "undefined")
 """What `status` counts: beyond what the index was calibrated or made for; a wavelength without channels; a formula
 that has no value, such as an abundance where the ratio is above its origin."""
@@ -364,7 +362,7 @@ def reached(wavelength_nm: FloatArray, wanted_nm: FloatArray) -> BoolArray:
     step = wavelength_nm[right] - wavelength_nm[right - 1]
     beyond = np.maximum(wavelength_nm[0] - wanted_nm, wanted_nm - wavelength_nm[-1])
     at_one = np.abs(wavelength_nm[:, None] - wanted_nm).min(axis=0) < 1e-9
-    near: BoolArray = at_one | ((step <= WIDEST_GAP_NM) & (beyond <= step / 2))
+    near: BoolArray = at_one | ((step <= NARROW_NM) & (beyond <= step / 2))
     return near
 
 

@@ -15,8 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lunarsci.io.tables import table_rows
+from lunarsci.minerals import WITH_BANDS
 from lunarsci.spectra.origin.catalogue import Crater, embedded_catalogue
-from lunarsci.spectra.origin.composition import ERRORS, MINERALS, Composition, Rock, widened
+from lunarsci.spectra.origin.composition import ERRORS, Composition, Rock, widened
 from lunarsci.spectra.origin.match import OTHER, MatchSettings, RockMatches, match_rocks
 from lunarsci.spectra.origin.prior import CHANG_E_4, PriorSettings, Range, crater_priors
 
@@ -61,14 +62,14 @@ def complete_catalogue() -> list[Crater]:
 
 
 def _composition(values: Sequence[float]) -> Composition:
-    return Composition({name: (value, SCATTER) for name, value in zip(MINERALS, values, strict=True)})
+    return Composition({name: (value, SCATTER) for name, value in zip(WITH_BANDS, values, strict=True)})
 
 
 def drawn_modes(crater: Crater | None, rng: np.random.Generator) -> np.ndarray:
     """True modes (4,) of a rock of a crater; of any composition where the crater's is unknown or there is none."""
     if crater is None or not crater.composition.modes:
-        return rng.dirichlet(np.ones(len(MINERALS)))
-    mean, sigma = np.array([crater.composition.modes[name] for name in MINERALS]).T
+        return rng.dirichlet(np.ones(len(WITH_BANDS)))
+    mean, sigma = np.array([crater.composition.modes[name] for name in WITH_BANDS]).T
     while True:
         modes = rng.normal(mean, sigma)
         if (modes >= 0).all():
@@ -88,7 +89,7 @@ def simulate(
         while not seen.any():
             seen = truth + rng.normal(0, systematic, truth.size) + rng.normal(0, ERROR, truth.size)
             seen = np.maximum(seen, 0)
-        modes = {name: (float(value), ERROR) for name, value in zip(MINERALS, seen / seen.sum(), strict=True)}
+        modes = {name: (float(value), ERROR) for name, value in zip(WITH_BANDS, seen / seen.sum(), strict=True)}
         rocks.append(Rock(str(number), Composition(modes)))
     return rocks, sources
 
@@ -102,9 +103,9 @@ class RealError(NamedTuple):
 
 def real_errors(kinds: Sequence[str] = ("powder-mixture", "dark-rock-powder", "solid-rock")) -> list[RealError]:
     """Of spectra in which all four minerals were named, each judged without its suite."""
-    rows = [row for row in table_rows(ERRORS) if row["class"] in kinds and all(row[f"error_{m}"] for m in MINERALS)]
+    rows = [row for row in table_rows(ERRORS) if row["class"] in kinds and all(row[f"error_{m}"] for m in WITH_BANDS)]
     return [
-        RealError(*(np.array([float(row[f"{part}_{mineral}"]) for mineral in MINERALS]) for part in ("error", "sigma")))
+        RealError(*(np.array([float(row[f"{part}_{m}"]) for m in WITH_BANDS]) for part in ("error", "sigma")))
         for row in rows
     ]
 
@@ -128,7 +129,7 @@ def simulate_real(
         while not seen.any():
             seen = np.maximum(truth + rng.normal(0, systematic, truth.size) + real.error, 0)
         told = real.sigma if stated == "own" else np.full(truth.size, ERROR)
-        modes = {m: (float(v), float(s)) for m, v, s in zip(MINERALS, seen / seen.sum(), told, strict=True)}
+        modes = {m: (float(v), float(s)) for m, v, s in zip(WITH_BANDS, seen / seen.sum(), told, strict=True)}
         modes = widened(modes, kind)[0] if stated == "widened" else modes
         rocks.append(Rock(str(number), Composition(modes)))
     return rocks, sources

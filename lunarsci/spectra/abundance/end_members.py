@@ -11,17 +11,16 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.io.inputs import InputFile
 from lunarsci.io.tables import table_rows
+from lunarsci.minerals import ABBREVIATIONS, COMPONENTS
 from lunarsci.spectra.abundance.learned import GRID_NM, STEP_NM
 from lunarsci.spectra.mgm.forward import model_and_jacobian
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model, unit_of
 from lunarsci.spectra.readers.columns import rows_by_id
-from lunarsci.spectra.readers.library import EndMember, mineral_named
+from lunarsci.spectra.readers.library import NEEDED_NM, EndMember, mineral_named
 from lunarsci.spectra.rows import number, quoted
 from lunarsci.spectra.spectrum import WIDEST_GAP_NM, Spectrum, reaches_over
 
 LOWEST_NM, HIGHEST_NM = map(float, GRID_NM[[0, -1]])
-NEEDED_NM = (750.0, 2300.0)
-"""What a spectrum must reach over, from one side of the 1 um band to the 2 um band; assumed."""
 FARTHEST_NM = 5.0
 """How far means of one channel may lie apart where spectra are compared together; assumed."""
 
@@ -84,10 +83,6 @@ def _binned(spectrum: Spectrum) -> dict[int, tuple[float, float, float]]:
 
 
 TABLE = "end_members.csv"
-FAMILY_OF = {"olivine": "OL", "orthopyroxene": "OPX", "clinopyroxene": "CPX", "plagioclase": "PLG"}
-"""Assemblage by which a mineral's spectra are described; these are the minerals that can be unmixed."""
-CHEMISTRY = ("fo", "fs", "en", "wo", "an")
-"""Columns of the table, in mol %."""
 OPAQUE = "opaque"
 OPAQUE_REFLECTANCE = 0.062
 """Flat within 0.007 from 400 to 2500 nm: ilmenite HS231.3B of the USGS library (Kokaly et al. 2017, 10.3133/ds1035)."""
@@ -111,7 +106,7 @@ def embedded_end_members(wavelength_nm: FloatArray) -> tuple[EndMember, ...]:
 @lru_cache(CACHED_GRIDS)
 def _on_grid(channels: bytes) -> tuple[EndMember, ...]:
     wavelength = np.frombuffer(channels)
-    models = {mineral: mgm_model(family) for mineral, family in FAMILY_OF.items()}
+    models = {mineral: mgm_model(family) for mineral, family in ABBREVIATIONS.items()}
     opaque = EndMember("ilmenite", OPAQUE, wavelength, np.full(wavelength.size, OPAQUE_REFLECTANCE), source="usgs")
     return (*(_rebuilt(row, models[row["mineral"]], wavelength) for row in table_rows(TABLE)), opaque)
 
@@ -121,7 +116,7 @@ def _rebuilt(values: Mapping[str, str], model: MgmModel, wavelength_nm: FloatArr
     modelled = model_and_jacobian(point, wavelength_nm / 1e3, model.basis(wavelength_nm), model.logarithmic)
     if modelled is None:
         raise ParameterError(f"{TABLE}: {values['id']} has a continuum that is not above 0")
-    chemistry = {key: float(values[key]) / 100 for key in CHEMISTRY if values[key]}
+    chemistry = {key: float(values[key]) / 100 for key in COMPONENTS if values[key]}
     sizes = {key: float(values[key]) for key in ("min_um", "max_um") if values[key]}
     return EndMember(
         values["id"],
@@ -154,7 +149,7 @@ class StatedModes:
 
 
 def read_modes(source: InputFile) -> StatedModes:
-    """Read a table with the column `id` and one per mineral, named as in `MINERALS` or `vol_ol` and the like.
+    """Read a table with the column `id` and one per mineral, in full or as `vol_ol` and the like.
 
     A row of numbers is a mixture whose modes are known; an empty cell is sought, and a 0 beside it says that a mineral
     is absent. Other columns are ignored.

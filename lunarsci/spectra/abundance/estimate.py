@@ -19,8 +19,9 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.minerals import WEIGHED
 from lunarsci.spectra.abundance.end_members import OPAQUE, CommonChannels, embedded_end_members, on_common_channels
-from lunarsci.spectra.abundance.learned import MINERALS, SHARES, shared_out
+from lunarsci.spectra.abundance.learned import SHARES, shared_out
 from lunarsci.spectra.abundance.mixing import (
     MixingLaw,
     Powders,
@@ -31,7 +32,7 @@ from lunarsci.spectra.abundance.mixing import (
     population,
 )
 from lunarsci.spectra.abundance.shares import Mixed
-from lunarsci.spectra.readers.library import EndMember
+from lunarsci.spectra.readers.library import SUM_TOLERANCE, EndMember
 from lunarsci.spectra.spectrum import Spectrum
 
 NEUTRAL = np.array([0.1, 0.05, 0.02])
@@ -327,8 +328,6 @@ MODEL_ERROR = 0.03
 with it 68 % intervals of laboratory mixtures hold the truth in 67-75 %, all samples of their series left out of the
 library."""
 LEAST_MINERALS, MOST_SPECTRA = 2, 500
-SUM_TOLERANCE = 0.02
-"""How far known shares may miss a sum of 1; assumed."""
 
 
 def estimate_series(
@@ -382,7 +381,7 @@ def estimate_series(
         unmix(_suite(data, _powders(law, minerals, library, data), held, fractions, model_error, iron)) for law in laws
     ]
     return _mixed(
-        posteriors, [MINERALS.index(name) for name in minerals if name != OPAQUE], model_error, len(spectra) > 1
+        posteriors, [WEIGHED.index(name) for name in minerals if name != OPAQUE], model_error, len(spectra) > 1
     )
 
 
@@ -397,7 +396,7 @@ def _mixed(posteriors: Sequence[SharesPosterior], places: Sequence[int], model_e
     shares = draws[..., : len(places)] / draws[..., : len(places)].sum(axis=-1, keepdims=True)
     square = sum(share * np.mean(item.ln_residual**2, axis=1) for share, item in zip(weight, posteriors, strict=True))
     strain = sum(share * item.strain for share, item in zip(weight, posteriors, strict=True))
-    probabilities = np.zeros((draws.shape[1], len(MINERALS), SHARES.size))
+    probabilities = np.zeros((draws.shape[1], len(WEIGHED), SHARES.size))
     probabilities[:, :, 0] = 1.0
     for k, place in enumerate(places):
         probabilities[:, place] = shared_out(shares[:, :, k]).mean(axis=0)

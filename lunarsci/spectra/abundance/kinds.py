@@ -13,10 +13,11 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray, IntArray
+from lunarsci.arrays import SIGNIFICANCE, BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
 from lunarsci.io.tables import table_rows
 from lunarsci.spectra.noise import scatter_noise_rows
+from lunarsci.spectra.readers.library import HIGHEST
 from lunarsci.spectra.spectrum import Spectrum
 
 Kind = Literal["powder-mixture", "dark-rock-powder", "weathered-soil", "solid-rock"]
@@ -45,12 +46,9 @@ LEAST_FEATURES = 6
 SURE = {"powder-mixture": 0.9, "dark-rock-powder": 0.8, "weathered-soil": 0.8, "solid-rock": np.inf}
 """Probability from which a kind is named; assumed."""
 WEATHERED = 0.5
-"""Probability of a surface that space has weathered, soil or rock, from which it counts as one; assumed."""
-SIGNIFICANCE = 0.01
-"""Probability below which a spectrum is an outlier: of one of its kind lying farther from the mean, and of the kind
-stated; assumed."""
-SCALED, BRIGHTEST = 1e-6, 1.1
-"""How near 1 a reflectance is that was scaled to it, and above what none is that of a powder; assumed."""
+"""Probability of a surface that space has weathered, soil or rock, from which it counts as one: the more probable."""
+SCALED = 1e-6
+"""How near 1 a reflectance is that was scaled to it: files write six digits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +184,7 @@ def features_of_rows(
 
 
 def _are_scaled(reflectance: FloatArray) -> BoolArray:
-    return np.asarray((reflectance.max(axis=1) > BRIGHTEST) | np.any(np.abs(reflectance - 1.0) < SCALED, axis=1))
+    return np.asarray((reflectance.max(axis=1) > HIGHEST) | np.any(np.abs(reflectance - 1.0) < SCALED, axis=1))
 
 
 def find_kinds(

@@ -17,18 +17,15 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.io.tables import SPECTRA_DATA
-from lunarsci.spectra.spectrum import Spectrum
+from lunarsci.minerals import WEIGHED
+from lunarsci.spectra.spectrum import NARROW_NM, Spectrum
 
 TABLE = "share_networks.npz"
-MINERALS = ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase")
 STEP_NM = 20.0
 """Between channels of the networks: features of minerals are ten times as wide. Assumed."""
 GRID_NM = np.arange(450.0, 2451.0, STEP_NM)
 SHARES = np.linspace(0.0, 1.0, 21)
 """Shares whose probabilities are foretold: mixtures are seldom weighed better than to 5 %. Assumed."""
-GAP_NM = 60.0
-"""Between channels no farther apart than this ln R is taken as straight, a third of the narrowest band of olivine and
-pyroxene; beyond, channels are missing. Assumed."""
 NOISE = 0.02
 """Noise of ln R at 20 nm up to which networks see a spectrum as it is; measured: they were trained with up to that."""
 DRAWS = 12
@@ -61,7 +58,7 @@ class Network:
             x = x @ weight + bias
             if number < len(self.layers) - 1:
                 x = np.maximum(x, 0.0)
-        power = x.reshape(-1, len(MINERALS), SHARES.size)
+        power = x.reshape(-1, len(WEIGHED), SHARES.size)
         odds = np.exp(power - power.max(axis=-1, keepdims=True))
         return only(odds / odds.sum(axis=-1, keepdims=True), allowed)
 
@@ -105,7 +102,7 @@ class Foretold:
     @classmethod
     def of_nothing(cls, count: int) -> "Foretold":
         """Of spectra that have no channel here: any share is as likely."""
-        even = np.full((count, len(MINERALS), SHARES.size), 1.0 / SHARES.size)
+        even = np.full((count, len(WEIGHED), SHARES.size), 1.0 / SHARES.size)
         return cls(even, np.zeros(count), np.ones(count), np.full(count, np.log(3.0)))
 
     def put(self, rows: Sequence[int], other: "Foretold") -> None:
@@ -184,7 +181,7 @@ def unpacked(arrays: Mapping[str, FloatArray]) -> tuple[tuple[Network, ...], Bac
 def on_grid(wavelength_nm: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Weights (101, c) that make channels of `GRID_NM` of ascending channels (c,), and which of them are there (101,).
 
-    Means of channels within 10 nm where they are denser than that, else straight between neighbours up to `GAP_NM`
+    Means of channels within 10 nm where they are denser than that, else straight between neighbours up to `NARROW_NM`
     apart.
     """
     weights = (np.abs(GRID_NM[:, None] - wavelength_nm) <= STEP_NM / 2).astype(np.float64)
@@ -193,7 +190,7 @@ def on_grid(wavelength_nm: FloatArray) -> tuple[FloatArray, BoolArray]:
     after = np.searchsorted(wavelength_nm, GRID_NM)
     inside = np.flatnonzero((after > 0) & (after < wavelength_nm.size))
     low, high = wavelength_nm[after[inside] - 1], wavelength_nm[after[inside]]
-    sparse = (high - low > STEP_NM / 2) & (high - low <= GAP_NM)
+    sparse = (high - low > STEP_NM / 2) & (high - low <= NARROW_NM)
     rows, part = inside[sparse], ((GRID_NM[inside] - low) / (high - low))[sparse]
     weights[rows] = 0.0
     weights[rows, after[rows] - 1], weights[rows, after[rows]] = 1.0 - part, part
@@ -226,7 +223,7 @@ def foretell(
     seen = np.log(np.maximum(reflectance, SMALLEST)) @ weights[there].T
     error = np.zeros_like(seen) if noise is None else np.sqrt(noise**2 @ (weights[there] ** 2).T)
     quiet = error.max(axis=1) <= NOISE
-    probabilities, distance, shallow = np.zeros((len(seen), len(MINERALS), SHARES.size)), *np.zeros((2, len(seen)))
+    probabilities, distance, shallow = np.zeros((len(seen), len(WEIGHED), SHARES.size)), *np.zeros((2, len(seen)))
     for rows in (np.flatnonzero(quiet), *np.flatnonzero(~quiet)[:, None]):
         noise_here = np.zeros(seen.shape[1]) if rows.size == 0 or quiet[rows[0]] else error[rows[0]]
         distance[rows] = background.ln_distance(seen[rows], there, noise_here)

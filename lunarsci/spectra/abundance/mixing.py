@@ -104,8 +104,6 @@ class HapkeSurface:
 
 
 LEAST, MOST = 1e-5, 1.0 - 1e-5
-BRIGHTEST = 0.999
-"""Reflectance from which on a powder counts as this bright: absorbance must stay above 0. Assumed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +148,7 @@ class Absorbance:
     section: float = 0.0
 
     def element(self, reflectance: FloatArray) -> FloatArray:
-        return np.asarray(np.log(-np.log(np.clip(reflectance, LEAST, BRIGHTEST))))
+        return np.asarray(np.log(-np.log(np.clip(reflectance, LEAST, MOST))))
 
     def mixing(self, element: FloatArray) -> tuple[FloatArray, FloatArray]:
         absorbance = np.exp(element)
@@ -180,8 +178,6 @@ LEADING_SHAPES, RIDGE = 5, 0.1
 """Level as a function of the first shapes, by ridge regression: iron moves bands and deepens them. Assumed."""
 MINERAL_LEVEL = 0.5
 """Standard deviation of a mineral's t beside what all minerals of a mixture share (its grain size); assumed."""
-SINGLE_LEVEL = 0.05
-"""The same where one end member is given, which then is the powder itself; assumed."""
 SAME_SIEVE, UNKNOWN_SIZE = 0.1, 0.77
 """Standard deviations of the logarithm of a powder's grain size: beside those of the same sieve, and where none is
 stated. Measured: cross-sections of two powders of one sieve had ratios of exp(0.07), exp(-0.10) and exp(-0.22) in
@@ -190,7 +186,8 @@ members of known size."""
 REFERENCE_UM, UNKNOWN_UM = 40.0, 60.0
 """Grain size that end members are brought to, and the one taken where none is stated; the latter assumed."""
 SMOOTH, SMOOTH_NM, SMOOTH_SHARE = 0.05, 150.0, 0.999
-"""Standard deviation, width and share kept of what t of a real powder has beside its shapes; assumed."""
+"""Standard deviation, width and share kept of what t of a real powder has beside its shapes, or beside the only end
+member; assumed."""
 UNUSUAL_WEIGHT = 0.3
 """Weight of such an end member; assumed."""
 SPECIMEN_POWER = 0.7
@@ -267,7 +264,7 @@ def population(
         scores = centred @ directions[:lead].T / sizes[:lead]
         normal = scores.T @ (weight[:, None] * scores) + RIDGE * np.eye(lead)
         shapes[:lead] += np.linalg.solve(normal, scores.T @ (weight * (level - mean_level)))[:, None]
-    flat = np.full((1, wavelength_nm.size), MINERAL_LEVEL if len(level) > 1 else SINGLE_LEVEL)
+    flat = np.full((1, wavelength_nm.size), MINERAL_LEVEL if len(level) > 1 else SMOOTH)
     return MineralPopulation(
         mineral, len(level), mean_shape + mean_level, np.concatenate([shapes, flat]), grain_size(members)
     )

@@ -19,6 +19,7 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.io.records import Column, Same, Where
 from lunarsci.io.tables import table_rows
+from lunarsci.minerals import WITH_BANDS
 from lunarsci.spectra.abundance.kinds import kinds_of_rows
 from lunarsci.spectra.abundance.result import Abundance, MineralFraction
 from lunarsci.spectra.abundance.shares import GOOD, LIKELY
@@ -26,7 +27,6 @@ from lunarsci.spectra.mgm.batch import FitBatch, batch_of
 from lunarsci.spectra.mgm.data import MgmRows, SpectraRows
 from lunarsci.spectra.mgm.fit import SpectraFits
 from lunarsci.spectra.mgm.result import MgmFailure, MgmFit
-from lunarsci.spectra.readers.library import CHEMISTRY
 
 PYROXENES = ("orthopyroxene", "clinopyroxene")
 TABLE = "nbsr_calibrations.csv"
@@ -164,7 +164,7 @@ class PyroxeneAbundances(Mapping[int, list[Abundance]]):
         one: dict[str, Column] = {
             "method": "nbsr",
             "in_domain": shares.in_domain,
-            "not_weighed": Same([mineral for mineral in CHEMISTRY if mineral not in PYROXENES]),
+            "not_weighed": Same([mineral for mineral in WITH_BANDS if mineral not in PYROXENES]),
             "status": shares.statuses,
             "rms_ln": self._rms,
             "learned": None,

@@ -12,8 +12,8 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.figure import as_label, headline, page
+from lunarsci.minerals import WITH_BANDS
 from lunarsci.spectra.mgm.figure import COLORS, OTHER
-from lunarsci.spectra.readers.library import CHEMISTRY
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -73,7 +73,7 @@ class Abundance:
     @property
     def not_weighed(self) -> list[str]:
         """Minerals that may be there and were not looked for: shares are of the others alone."""
-        return [mineral for mineral in CHEMISTRY if mineral not in {item.mineral for item in self.fractions}]
+        return [mineral for mineral in WITH_BANDS if mineral not in {item.mineral for item in self.fractions}]
 
     def to_dict(self) -> dict[str, Any]:
         """The key `abundance` of `lunarsci spectra fit --json`."""

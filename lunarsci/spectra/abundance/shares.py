@@ -38,8 +38,9 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.compiled import compiled
 from lunarsci.io.tables import table_rows
+from lunarsci.minerals import WEIGHED
 from lunarsci.spectra.abundance.kinds import WEATHERED, KindVerdict
-from lunarsci.spectra.abundance.learned import MINERALS, SHARES, Foretold, only, shared_out
+from lunarsci.spectra.abundance.learned import SHARES, Foretold, only, shared_out
 from lunarsci.spectra.abundance.result import Abundance, MineralFraction
 
 ROCK_MODES = "lunar_rock_modes.csv"
@@ -62,7 +63,7 @@ def rocks() -> tuple[FloatArray, FloatArray, FloatArray]:
     """Modes of olivine, orthopyroxene, clinopyroxene and plagioclase (n, 4) and of undivided pyroxene (n,), which sum
     to 1, and weights of the rocks (n,)."""
     rows = table_rows(ROCK_MODES)
-    counted = np.array([[float(row[name] or 0.0) for name in (*MINERALS, "pyroxene")] for row in rows])
+    counted = np.array([[float(row[name] or 0.0) for name in (*WEIGHED, "pyroxene")] for row in rows])
     counted /= counted.sum(axis=1, keepdims=True)
     _, place, count = np.unique([row["class"] for row in rows], return_inverse=True, return_counts=True)
     return counted[:, :-1], counted[:, -1], 1.0 / (count[place] * count.size)
@@ -102,7 +103,7 @@ def drawn_powders(allowed: tuple[bool, ...]) -> tuple[FloatArray, FloatArray]:
     """Shares (DRAWN, 4) as the networks learned them, each mineral alike, and how often there are `SHARES`, (4, 21)."""
     rng = np.random.default_rng(1)
     count = rng.choice(np.arange(1, len(POWDERS) + 1), DRAWN, p=POWDERS)
-    there = rng.random((DRAWN, len(MINERALS))).argsort(axis=1) < count[:, None]
+    there = rng.random((DRAWN, len(WEIGHED))).argsort(axis=1) < count[:, None]
     shares = _of(rng.standard_gamma(1.0, there.shape) * there, allowed)
     return shares, shared_out(shares).mean(axis=0)
 
@@ -141,12 +142,12 @@ GOOD = 0.15
 LIKELY = 0.7
 """Probability of each share being so near from which a spectrum is in domain; measured: then 9 in 10 had all shares so
 near, of spectra of suites left out (`share_validation.csv`)."""
-SOME = 0.05
-"""Share above which a mineral counts as there; assumed."""
+SOME = float(SHARES[1])
+"""Share above which a mineral counts as there: the least that the networks know."""
 OPEN = (0.1, 0.9)
 """Probabilities of that between which a mineral is open; assumed."""
 NOTHING = 0.5
-"""Probability of knowing nothing from which no share is named; assumed."""
+"""Probability of knowing nothing from which no share is named: the more probable."""
 FINE = np.linspace(0.0, 1.0, 201)
 MAFIC = ("olivine", "orthopyroxene", "clinopyroxene")
 RATIOS = {"olivine_in_mafic": (("olivine",), MAFIC), "orthopyroxene_in_pyroxene": (("orthopyroxene",), MAFIC[1:])}
@@ -219,8 +220,8 @@ class CalibratedShares:
             rocks, _ = posterior(alone.probabilities[row], alone.doubt[row], alone.there(row))
             like_them = np.linspace(0.0, 1.0, RETAINED, endpoint=False)[:, None] < self.returned[row]
             return np.where(like_them, rocks, alone.drawn(row))
-        uniform = np.random.default_rng(0).random((RETAINED, len(MINERALS)))
-        each = [np.interp(uniform[:, k], self.below[row, k], FINE) for k in range(len(MINERALS))]
+        uniform = np.random.default_rng(0).random((RETAINED, len(WEIGHED)))
+        each = [np.interp(uniform[:, k], self.below[row, k], FINE) for k in range(len(WEIGHED))]
         return np.column_stack(each) * self.there(row)
 
     def exchanged(self, row: int, some: Sequence[int]) -> tuple[int, int] | None:
@@ -240,7 +241,7 @@ class CalibratedShares:
         levels = []
         for name in ("level68", "level95"):
             level = np.where(self.weight < 0.5, calibration[name, "alone"], calibration[name, "mixed"])
-            ends = _shortest(below, np.repeat(level, len(MINERALS))).reshape(*self.mean.shape, 2)
+            ends = _shortest(below, np.repeat(level, len(WEIGHED))).reshape(*self.mean.shape, 2)
             levels.append(np.stack([np.minimum(ends[..., 0], self.mean), np.maximum(ends[..., 1], self.mean)], axis=-1))
         inner, outer = levels
         low, high = np.minimum(outer[..., 0], inner[..., 0]), np.maximum(outer[..., 1], inner[..., 1])
@@ -314,7 +315,7 @@ def weight_of_mixtures(foretold: Foretold, mixed: Mixed, dark: FloatArray, table
 
 def weight_terms(foretold: Foretold, mixed: Mixed, dark: FloatArray) -> dict[str, FloatArray]:
     """What the weight depends on."""
-    plagioclase = foretold.probabilities[:, MINERALS.index("plagioclase")] @ SHARES
+    plagioclase = foretold.probabilities[:, WEIGHED.index("plagioclase")] @ SHARES
     odds = np.log((dark + 1e-3) / (1.0 - dark + 1e-3))
     return {"constant": np.ones_like(dark), "ln_strange": np.log(mixed.strange), "plagioclase": plagioclase,
             "ln_odds_dark": odds}  # fmt: skip
@@ -424,11 +425,11 @@ def abundances(
     results = []
     for row, name in enumerate(names):
         determined = result.doubt[row] < NOTHING
-        value = mean[row] if determined else np.full(len(MINERALS), np.nan)
+        value = mean[row] if determined else np.full(len(WEIGHED), np.nan)
         numbers = np.column_stack([value, ends[row], present[row]]).tolist()
         fractions = tuple(
             MineralFraction(mineral, *ends_of)
-            for k, (mineral, ends_of) in enumerate(zip(MINERALS, numbers, strict=True))
+            for k, (mineral, ends_of) in enumerate(zip(WEIGHED, numbers, strict=True))
             if allowed[row, k]
         )
         weathered = kinds[row].weathered >= WEATHERED
@@ -452,7 +453,7 @@ def _with_prior(one: Abundance, returned: float, moved: FloatArray, alone: bool)
     k = int(np.argmax(np.abs(moved)))
     none = "" if one.in_domain or "out of domain" in one.status else "out of domain: without the prior it would be; "
     status = none + one.status
-    moves = f"prior of returned rocks (like them with a probability of {returned:.2f}): {MINERALS[k]} moves by "
+    moves = f"prior of returned rocks (like them with a probability of {returned:.2f}): {WEIGHED[k]} moves by "
     moves += f"{100 * moved[k]:+.0f} %"
     moves += "; the spectrum says nearly nothing, so that this is their mean" if alone else ""
     return replace(one, prior=PRIOR, returned=returned, status=f"{status}; {moves}")
@@ -495,9 +496,9 @@ def _status(
 def _open(result: CalibratedShares, row: int, fractions: Sequence[MineralFraction]) -> list[str]:
     """Minerals that may be there or not, and those of them that stand for each other."""
     open_ones = [item.mineral for item in fractions if OPEN[0] < item.present < OPEN[1]]
-    pair, parts = result.exchanged(row, [MINERALS.index(name) for name in open_ones]), []
+    pair, parts = result.exchanged(row, [WEIGHED.index(name) for name in open_ones]), []
     if pair is not None:
-        names = [MINERALS[k] for k in pair]
+        names = [WEIGHED[k] for k in pair]
         between = ", or a pyroxene between both, such as pigeonite" if {*MAFIC[1:]} == {*names} else ""
         total = 100 * result.mean[row, list(pair)].sum()
         parts = [f"not told apart: {' or '.join(names)}{between} (together {total:.0f} %)"]
@@ -509,7 +510,7 @@ def _ratios(drawn: FloatArray, there: BoolArray) -> tuple[MineralFraction, ...]:
     """Shares of one mineral in several, of shares that were drawn, (n, 4)."""
     ratios = []
     for name, (above, among) in RATIOS.items():
-        places = [[MINERALS.index(mineral) for mineral in some] for some in (above, among)]
+        places = [[WEIGHED.index(mineral) for mineral in some] for some in (above, among)]
         if not there[places[1]].all():
             continue
         value = drawn[:, places[0]].sum(axis=1) / np.maximum(drawn[:, places[1]].sum(axis=1), 1e-6)

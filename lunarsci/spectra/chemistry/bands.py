@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray, IntArray
+from lunarsci.arrays import SIGNIFICANCE, BoolArray, FloatArray, IntArray
 from lunarsci.figure import AMBER, BLUE, GREEN, VERMILION, as_label, name_points, page
 from lunarsci.io.tables import table_rows
 from lunarsci.spectra.band_status import BandColumns, BandResult
@@ -314,8 +314,6 @@ COMPOSITION = ("fa", "fs", "ol_share")
 SHRINKAGE = 0.3
 """Weight of no correlation in the covariance, for 15 rocks; with it errors of sample series left out are those stated:
 measured, among 0, 0.15 and 0.3."""
-UNLIKE = 0.01
-"""Share of ordinary chondrites that lie farther from their mean, below which a target is none; assumed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -401,7 +399,7 @@ def chondrites(bands: Mapping[str, BandColumns]) -> dict[str, Estimates]:
     result, errors = bands_of_chondrites(bands)
     law = embedded_law()
     values, sigmas = law.composition(result, errors)
-    reason = np.where(law.likeness(result) < UNLIKE, "the bands are not those of an ordinary chondrite", "")
+    reason = np.where(law.likeness(result) < SIGNIFICANCE, "the bands are not those of an ordinary chondrite", "")
     caveat = "not corrected for temperature: 100 K above the laboratory's add 20 nm to the 2 µm centre"
     texts = {"domain": "an ordinary chondrite", "caveat": caveat, "source": "chondrite-bands"}
     return {

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.compiled import compiled
 from lunarsci.errors import DataError, LunarSciWarning, warn
+from lunarsci.io.tables import MOST_CELLS
 from lunarsci.spectra.readers.likely import unnamed_markers
 from lunarsci.spectra.readers.table import MAX_FRACTION, Column, WavelengthUnit, wavelength_nm
 
@@ -28,8 +29,6 @@ SYNTHETIC = "SYNTHETIC"
 """In the remarks of a cube that is made up."""
 FEWEST_CHANNELS = 5
 MOST_VALUES = 10**13
-MOST_ON_A_LINE = 50_000_000
-"""Numbers of one line, which are in memory together; assumed."""
 LINES_LOOKED_AT = 16
 _ROTATED = re.compile(r"^(pca?|mnf|ica?|principal component|minimum noise|eigen)\b.*\d", re.IGNORECASE)
 
@@ -284,35 +283,32 @@ def cube_of(layout: Layout, stated: Stated) -> Cube:
 def _check_numbers(layout: Layout, stated: Stated) -> None:
     """Raise DataError for numbers that are no measurements, whatever their size."""
     lines, samples = layout.shape
-    if lines < 1 or samples < 1 or lines * samples > MOST_VALUES:
-        raise DataError(f"{layout.name}: {lines} lines and {samples} samples are no image; check the header")
-    if (bands := 0 if layout.wavelength is None else len(layout.wavelength)) * samples > MOST_ON_A_LINE:
-        raise DataError(
-            f"{layout.name}: {samples} samples of {bands} bands on a line, and at most {MOST_ON_A_LINE / 1e6:.0f} "
-            "million numbers are read of one; cut out a part, or check the header"
-        )
-    if layout.dtype.kind == "c":
-        raise DataError(f"{layout.name}: holds complex numbers; a reflectance is a real one")
+    bands = 0 if layout.wavelength is None else len(layout.wavelength)
     scaled = stated.scale or layout.scale or layout.gain is not None
-    if layout.dtype.itemsize == 1 and not scaled:
-        raise DataError(
-            f"{layout.name}: holds 8-bit numbers without a scale: a picture stretched for display, whose numbers are "
-            "no reflectances; get the file with physical values, or state `scale`"
-        )
-    if rotated := next((name for name in layout.names if _ROTATED.match(name.strip())), None):
-        raise DataError(
-            f"{layout.name}: band '{rotated[:40]}' is a rotated component, no channel; give the cube before"
-        )
+    rotated = next((name for name in layout.names if _ROTATED.match(name.strip())), "")
+    for wrong, what in (
+        (not 0 < min(lines, samples) <= lines * samples <= MOST_VALUES, f"{lines} lines and {samples} samples are no "
+         "image; check the header"),
+        (bands * samples > MOST_CELLS, f"{samples} samples of {bands} bands on a line, and at most "
+         f"{MOST_CELLS / 1e6:.0f} million numbers are read of one; cut out a part, or check the header"),
+        (layout.dtype.kind == "c", "holds complex numbers; a reflectance is a real one"),
+        (layout.dtype.itemsize == 1 and not scaled, "holds 8-bit numbers without a scale: a picture stretched for "
+         "display, whose numbers are no reflectances; get the file with physical values, or state `scale`"),
+        (rotated, f"band '{rotated[:40]}' is a rotated component, no channel; give the cube before"),
+    ):  # fmt: skip
+        if wrong:
+            raise DataError(f"{layout.name}: {what}")
 
 
 def _wavelengths(layout: Layout, stated: Stated) -> tuple[FloatArray, list[str]]:
     """In the order of the file; NaN for channels without one. [nm]"""
-    result = layout.wavelength
-    if result is None:
-        raise DataError(f"{layout.name}: has no wavelengths; name a file with one for each band as `wavelengths`")
+    result = np.empty(0) if layout.wavelength is None else layout.wavelength
     finite = np.isfinite(result) & (result > 0)
     if finite.sum() < FEWEST_CHANNELS:
-        raise DataError(f"{layout.name}: {finite.sum()} channels with a wavelength; a spectrum needs {FEWEST_CHANNELS}")
+        raise DataError(
+            f"{layout.name}: has {finite.sum() or 'no'} wavelengths; name a file with one for each band as "
+            f"`wavelengths`, {FEWEST_CHANNELS} at least"
+        )
     low, high = result[finite].min(), result[finite].max()
     if low < 100 < high and low * 50 < high:
         raise DataError(

@@ -16,9 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray, IntArray
-from lunarsci.errors import ParameterError, warn
+from lunarsci.errors import warn
 from lunarsci.spectra.cubes.cube import FLAGS, LEFT_OUT, NO_DATA, Cube, PixelFrame
-from lunarsci.spectra.cubes.rasters import HINT
+from lunarsci.spectra.cubes.rasters import optional
 from lunarsci.spectra.cubes.regions import MOON_LONGLAT, Region
 
 SUFFIXES = {".nc": "netcdf", ".tif": "geotiff", ".tiff": "geotiff"}
@@ -126,10 +126,7 @@ class MapFile:
         return lines * samples * sum(np.dtype(self.dtype(layer)).itemsize for layer in self.layers)
 
     def _netcdf(self, path: Path, blocks: Iterable[Block]) -> None:
-        try:
-            import h5netcdf
-        except ImportError as error:
-            raise ParameterError(HINT) from error
+        h5netcdf = optional("h5netcdf")
         with h5netcdf.File(path, "w") as file:
             file.attrs.update(self.attributes())
             dims = ("y", "x") if self.frame is not None and not self.frame.rotated else ("line", "sample")
@@ -143,11 +140,9 @@ class MapFile:
                     values[rows.start : rows.stop] = np.ascontiguousarray(arrays[layer.name], self.dtype(layer))
 
     def _geotiff(self, path: Path, blocks: Iterable[Block]) -> None:
-        try:
-            import rasterio
-            from rasterio.windows import Window
-        except ImportError as error:
-            raise ParameterError(HINT) from error
+        rasterio = optional("rasterio")
+        from rasterio.windows import Window
+
         lines, samples = self.region.shape
         kind = "float32" if self.single else "float64"
         with closing(

@@ -18,9 +18,10 @@ import math
 import re
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError, warn
 from lunarsci.heights.rasters import MOST_BLOCK_BYTES, check_blocks
 from lunarsci.io.inputs import read_input, text, unheard
+from lunarsci.io.tables import MOST_CELLS
 from lunarsci.spectra.cubes.cube import (
     MOST_VALUES,
     SYNTHETIC,
@@ -66,21 +68,18 @@ def label_of_cube(path: str) -> str | None:
 
 def open_pds(path: str) -> Layout:
     """The image with most bands of a label. Raises DataError for radiance, and for what is no image of spectra."""
-    label, why = read_pds_label(read_input(path)), ""
-    image = max(label.images, key=lambda one: (radiance(one.unit), one.bands), default=None)
-    if image is None:
-        raise DataError(f"{path}: is the label of a table, no image; `lunarsci spectra bands` takes tables of spectra")
-    if radiance(image.unit):
-        why = f"in {image.unit}: radiance; give the reflectances made of it"
-    elif not image.dtype:
-        why = "of a type that is not read; convert it to ENVI"
-    if why:
-        what = f"{image.lines} lines, {image.samples} samples and {image.bands} bands"
-        raise DataError(f"{path}: {image.file} has {what} {why}")
+    images = read_pds_label(read_input(path)).images
+    image = max(images, key=lambda one: (radiance(one.unit), one.bands), default=None)
+    if image is None or radiance(image.unit) or not image.dtype:
+        why = "is the label of a table, no image; `lunarsci spectra bands` takes tables of spectra"
+        if image is not None:
+            size = f"{image.lines} lines, {image.samples} samples and {image.bands} bands"
+            kind = f"in {image.unit}: radiance; give the reflectances made of it" if radiance(image.unit) else ""
+            why = f"{image.file} has {size} {kind or 'of a type that is not read; convert it to ENVI'}"
+        raise DataError(f"{path}: {why}")
     data = data_file(path, image.file)
     source = FlatFile(data, image.dtype, image.offset, image.lines, image.samples, image.bands, image.interleave)
-    if (size := Path(data).stat().st_size) < source.bytes:
-        raise DataError(f"{data}: has {size} bytes, {source.bytes} by its label (truncated?); fetch it again")
+    _check_size(source, path, exact=False)
     wavelength = np.array(image.wavelength) if len(image.wavelength) == image.bands else None
     return Layout(
         name=data, format="pds", source=source, shape=(image.lines, image.samples), dtype=np.dtype(image.dtype),
@@ -178,13 +177,20 @@ def flat_file(header: EnviHeader, data: str) -> FlatFile:
             raise DataError(f"{header.file}: {what}")
     dtype = header.dtype().str
     flat = FlatFile(data, dtype, header.whole("header offset", "0"), lines, samples, bands, interleave)
-    if (size := Path(data).stat().st_size) != flat.bytes:
+    _check_size(flat, header.file, exact=True)
+    return flat
+
+
+def _check_size(flat: FlatFile, header: str, *, exact: bool) -> None:
+    """Raise DataError for a file shorter than its header says, or of another length where it must be `exact`."""
+    size = Path(flat.path).stat().st_size
+    if size < flat.bytes or (exact and size != flat.bytes):
         what = "shorter" if size < flat.bytes else "longer"
         raise DataError(
-            f"{data}: has {size} bytes, {what} than the {flat.bytes} that {Path(header.file).name} announces ({lines} "
-            f"lines of {samples} samples and {bands} bands, {np.dtype(dtype).itemsize} bytes each); fetch both again"
+            f"{flat.path}: has {size} bytes, {what} than the {flat.bytes} that {Path(header).name} announces "
+            f"({flat.lines} lines of {flat.samples} samples and {flat.channels} bands, "
+            f"{np.dtype(flat.dtype).itemsize} bytes each); fetch both again"
         )
-    return flat
 
 
 def _scales(header: EnviHeader, bands: int) -> dict[str, Any]:
@@ -309,8 +315,6 @@ def open_vnis(path: str) -> Layout:
 HINT = "cubes and maps need rasterio, xarray and h5netcdf; install them with: pip install 'lunarsci[cubes]'"
 _TIFF = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 HDF = b"\x89HDF"
-MOST_ON_AN_AXIS = 10_000_000
-"""Coordinates along an axis, which are read whole; assumed."""
 _WAVELENGTH = re.compile(
     r"^(wavelengths?|wvls?|wl|lambda|band_?(wavelength|center|centre)s?)(_?(nm|um))?$", re.IGNORECASE
 )
@@ -344,14 +348,20 @@ def _layout(path: str, given: Stated) -> Layout:
     raise DataError(f"{path}: is no cube: no ENVI header beside it, no GeoTIFF, no NetCDF, no VNIS product")
 
 
+def optional(module: str) -> Any:
+    """A library that cubes and maps need. Raises ParameterError that names the extra where it is not installed."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise ParameterError(HINT) from error
+
+
 @contextmanager
 def opened(path: str, driver: str) -> Iterator[Any]:
     """A dataset of rasterio, by this driver of GDAL and no other. Raises DataError for what it cannot read."""
-    try:
-        import rasterio
-        from rasterio.errors import NotGeoreferencedWarning, RasterioError
-    except ImportError as error:
-        raise ParameterError(HINT) from error
+    rasterio = optional("rasterio")
+    from rasterio.errors import NotGeoreferencedWarning, RasterioError
+
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
@@ -474,29 +484,22 @@ def netcdf(path: str) -> Any:
 
 @lru_cache(maxsize=4)
 def _netcdf(path: str, engine: str, *_version: int) -> Any:
-    try:
-        import h5netcdf
-        import xarray
-    except ImportError as error:
-        raise ParameterError(HINT) from error
+    h5netcdf, xarray = map(optional, ("h5netcdf", "xarray"))
     with _netcdf_errors(path):
         if engine == "h5netcdf":  # what is packed may be far larger than its file, and xarray reads axes as it opens it
             with h5netcdf.File(path) as file:
                 for name, item in file.variables.items():
-                    _check_size(path, name, item.shape, item.chunks or (), item.dtype.itemsize)
+                    _check_variable(path, name, item.shape, item.chunks or (), item.dtype.itemsize)
         result = xarray.open_dataset(path, engine=engine, decode_times=False)
     for name, item in result.variables.items():
-        _check_size(path, name, item.shape, (), item.dtype.itemsize)
+        _check_variable(path, name, item.shape, (), item.dtype.itemsize)
     return result
 
 
-def _check_size(path: str, name: Any, shape: Sequence[int], chunks: Sequence[int], item_bytes: int) -> None:
-    if len(shape) < 2 and math.prod(shape) > MOST_ON_AN_AXIS:
-        raise DataError(
-            f"{path}: '{name}' has {math.prod(shape)} numbers, too many for an axis; fetch or write it again"
-        )
-    if math.prod(chunks) * item_bytes > MOST_BLOCK_BYTES:
-        raise DataError(f"{path}: '{name}' is packed in chunks too large to be read; write it in smaller ones")
+def _check_variable(path: str, name: Any, shape: Sequence[int], chunks: Sequence[int], item_bytes: int) -> None:
+    if (len(shape) < 2 and math.prod(shape) > MOST_CELLS) or math.prod(chunks) * item_bytes > MOST_BLOCK_BYTES:
+        sizes = f"{math.prod(shape)} numbers{f' in chunks of {math.prod(chunks)}' if chunks else ''}"
+        raise DataError(f"{path}: '{name}' has {sizes}, too many to be read at once; fetch it again, or write it anew")
 
 
 @contextmanager
@@ -518,10 +521,12 @@ def open_netcdf(path: str) -> Layout:
         waves = {axis: name for name in data.variables for axis in [_wave_axis(data[name], str(name))] if axis}
         cubes = [name for name, item in data.data_vars.items() if item.ndim == 3 and item.dtype.kind in "iufc"]
         with_waves = [name for name in cubes if set(data[name].dims) & set(waves)]
-        if len(with_waves) > 1:
-            raise DataError(f"{path}: has several cubes ({', '.join(map(str, with_waves[:5]))}); give a file with one")
-        if not cubes:
-            raise DataError(f"{path}: has no variable of lines, samples and wavelengths; give a cube")
+        if len(with_waves) > 1 or not cubes:
+            listed = f" ({', '.join(map(str, with_waves[:5]))})" if with_waves else ""
+            raise DataError(
+                f"{path}: has {len(with_waves) or 'no'} variables of lines, samples and wavelengths{listed}; give a "
+                "file with one cube"
+            )
         variable = data[(with_waves or cubes)[0]]
         axis = next((str(name) for name in variable.dims if name in waves), str(variable.dims[0]))
         lines, samples = (str(name) for name in variable.dims if name != axis)
@@ -608,37 +613,34 @@ class ArrayFile:
 
 def _plane_array(path: str) -> npt.NDArray[Any]:
     """Numbers of a NumPy file, left on disk. Raises DataError for what holds none."""
-    try:
-        result: npt.NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
-    except Exception as error:  # whatever NumPy raises of a damaged file
-        raise DataError(f"{path}: not a NumPy array that can be read; write it with numpy.save") from error
+    result: npt.NDArray[Any] = np.empty(0, object)
+    with suppress(Exception):  # whatever NumPy raises of a damaged file
+        result = np.load(path, mmap_mode="r", allow_pickle=False)
     if result.dtype.kind not in "biuf":
-        raise DataError(f"{path}: holds no numbers but {result.dtype}; write them with numpy.save")
+        raise DataError(f"{path}: not a NumPy array of numbers that can be read; write it with numpy.save")
     return result
 
 
 def plane_of(path: str) -> tuple[Source, tuple[int, int]]:
     """An image of one number a pixel, ENVI, GeoTIFF, NetCDF or `.npy`, and its lines and samples. Raises DataError."""
     start = start_of(path)
+    source: Source | None = None
+    shape: tuple[int, ...] = ()
     if start.startswith(b"\x93NUMPY"):
-        shape = _plane_array(path).shape
-        source: Source = ArrayFile(path)
+        source, shape = ArrayFile(path), _plane_array(path).shape
     elif start.startswith(_TIFF):
         with opened(path, "GTiff") as dataset:
             source, shape = RasterFile(path, "GTiff"), (dataset.height, dataset.width, dataset.count)
     elif start.startswith((HDF, b"CDF")):
         planes = {str(name): item for name, item in netcdf(path).data_vars.items() if item.ndim == 2}
-        if len(planes) != 1:
-            raise DataError(f"{path}: has {len(planes)} images ({', '.join([*planes][:5])}); give a file with one")
-        [(name, image)] = planes.items()
-        source, shape = NetcdfVariable(path, name, tuple(map(str, image.dims))), image.shape
+        name, image = next(iter(planes.items()), ("", None))
+        if image is not None and len(planes) == 1:
+            source, shape = NetcdfVariable(path, name, tuple(map(str, image.dims))), image.shape
     elif has_header(path):
         source = flat = envi_plane(path)
         shape = (flat.lines, flat.samples, flat.channels)
-    else:
+    if source is None or len(shape) < 2 or shape[2:] not in ((), (1,)):
         raise DataError(f"{path}: is no image of one band: ENVI with a header beside it, GeoTIFF, NetCDF or .npy")
-    if len(shape) < 2 or shape[2:] not in ((), (1,)):
-        raise DataError(f"{path}: is no image of one band; give one")
     return source, (int(shape[0]), int(shape[1]))
 
 
@@ -656,9 +658,8 @@ def _with_wavelengths(layout: Layout, given: Stated) -> Layout:
     source = read_input(file := str(given.wavelengths))
     lines = split_lines(text(source))[0]
     cells = [split_fields(line, separator_of(lines), f"{file}: line {n}") for n, line in lines]
-    if not any(cells):
-        raise DataError(f"{file}: no wavelengths in it; give a line for each band of {layout.name}")
-    names = [] if number(cells[0][0]) is not None else [name.lower() for name in cells.pop(0)]
+    named = any(cells) and number(cells[0][0]) is None
+    names = [name.lower() for name in cells.pop(0)] if named else []
     place = next((k for k, name in enumerate(names) if "wave" in name or name in ("nm", "um")), 0)
     others = {key: k for k, name in enumerate(names) for key in ("fwhm", "good") if key in name}
     columns = {"wavelength": place} | others

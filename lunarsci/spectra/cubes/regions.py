@@ -14,7 +14,7 @@ from lunarsci.constants import MOON_RADIUS_KM
 from lunarsci.errors import DataError, RequestError
 from lunarsci.io.documents import json_document
 from lunarsci.io.inputs import read_input, text
-from lunarsci.spectra.cubes.cube import Cube, Source
+from lunarsci.spectra.cubes.cube import Cube, PixelFrame, Source
 from lunarsci.spectra.cubes.rasters import plane_of
 
 MOON_LONGLAT = f"+proj=longlat +R={1e3 * MOON_RADIUS_KM:.0f} +no_defs"
@@ -107,8 +107,6 @@ def region_of(cube: Cube, roi: str | None = None, mask: str | None = None, every
 
     Raises RequestError for a box that is none, DataError for files that do not fit the cube.
     """
-    if every < 1:
-        raise RequestError(f"`every` is {every}; give 1 or more")
     source = None
     if mask is not None:
         source, shape = plane_of(mask)
@@ -145,21 +143,17 @@ def _polygons(cube: Cube, file: str) -> tuple[tuple[Ring, ...], ...]:
         raise DataError(
             f"{file}: is no GeoJSON with polygons ({error}); give one, or a box of samples and lines"
         ) from error
-    if not rings or any(len(ring) < 3 for polygon in rings for ring in polygon):
-        raise DataError(f"{file}: has no polygon; a region is a Polygon or MultiPolygon in longitude and latitude")
-    if cube.frame is None and "longitude" not in cube.backplanes:
-        raise DataError(f"{cube.name}: has no place on the Moon that a polygon could mean; give `roi` x0:x1,y0:y1")
-    if not all(np.isfinite(ring).all() and (np.abs(ring) <= (360, 90)).all() for polygon in rings for ring in polygon):
-        raise DataError(f"{file}: has corners that are no longitude and latitude in degrees; convert them")
+    corners = [ring for polygon in rings for ring in polygon]
+    if not rings or any(len(ring) < 3 or not (np.abs(ring) <= (360, 90)).all() for ring in corners):
+        raise DataError(f"{file}: has no polygon in degrees; a region is a Polygon or MultiPolygon on the Moon")
+    if "longitude" not in cube.backplanes:
+        _frame(cube)
     if cube.frame is None:
         return tuple(tuple(tuple((float(x), float(y)) for x, y in ring) for ring in polygon) for polygon in rings)
     placed = [
         tuple(_on_cube(cube, ring + turn, file) for ring in polygon) for polygon in rings for turn in _turns(cube)
     ]
-    touching = tuple(polygon for polygon in placed if _about(cube, polygon))
-    if not touching:
-        raise DataError(f"{file}: lies beside the cube {cube.name}")
-    return touching
+    return tuple(polygon for polygon in placed if _about(cube, polygon))
 
 
 def _turns(cube: Cube) -> FloatArray:
@@ -200,21 +194,24 @@ def _on_cube(cube: Cube, ring: FloatArray, file: str) -> Ring:
 
 def pixels_at(cube: Cube, longitude: FloatArray, latitude: FloatArray, file: str) -> tuple[FloatArray, FloatArray]:
     """Samples and lines, in parts of pixels from the first corner, of places on a cube that has a frame."""
-    if cube.frame is None:
-        raise DataError(f"{cube.name}: says nowhere where its pixels lie; give samples and lines")
     x, y = _projected(cube, longitude, latitude, file)
-    a, b, c, d, e, f = cube.frame.transform
+    a, b, c, d, e, f = _frame(cube).transform
     determinant = a * e - b * d
     return (e * (x - c) - b * (y - f)) / determinant, (a * (y - f) - d * (x - c)) / determinant
+
+
+def _frame(cube: Cube) -> PixelFrame:
+    """Where its pixels lie. Raises DataError for a cube that does not say."""
+    if cube.frame is None or not cube.frame.crs_wkt:
+        raise DataError(f"{cube.name}: has no place on the Moon that a polygon could mean; give `roi` x0:x1,y0:y1")
+    return cube.frame
 
 
 def _system(cube: Cube) -> Any:
     """The coordinate system of a cube's frame, of rasterio."""
     from rasterio.crs import CRS
 
-    if cube.frame is None or not cube.frame.crs_wkt:
-        raise DataError(f"{cube.name}: names no coordinate system for a place in degrees; give `roi` x0:x1,y0:y1")
-    return CRS.from_wkt(cube.frame.crs_wkt)
+    return CRS.from_wkt(_frame(cube).crs_wkt)
 
 
 def _projected(cube: Cube, longitude: FloatArray, latitude: FloatArray, file: str) -> tuple[FloatArray, FloatArray]:
@@ -242,14 +239,14 @@ def _about(cube: Cube, polygon: Sequence[Ring]) -> tuple[tuple[int, int], ...]:
 
 
 def _bounds(cube: Cube, polygons: Sequence[Sequence[Ring]], file: str) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Lines and samples about the polygons. Raises DataError where none of them touches a cube without a frame."""
-    if cube.frame is not None:
+    """Lines and samples about the polygons. Raises DataError where none of them touches the cube."""
+    if cube.frame is not None and polygons:
         spans = np.array([_about(cube, polygon) for polygon in polygons])
         (s0, line0), (s1, line1) = spans[..., 0].min(axis=0).tolist(), spans[..., 1].max(axis=0).tolist()
         return (line0, line1), (s0, s1)
     whole = Region((0, cube.shape[0]), (0, cube.shape[1]), 1, tuple(map(tuple, polygons)))
     rows, columns = np.zeros(cube.shape[0], bool), np.zeros(cube.shape[1], bool)
-    for first in range(0, cube.shape[0], _LINES_AT_ONCE):
+    for first in range(0, cube.shape[0] if polygons else 0, _LINES_AT_ONCE):
         part = range(first, min(first + _LINES_AT_ONCE, cube.shape[0]))
         inside = whole.wanted(cube, part)
         rows[part.start : part.stop] = inside.any(axis=1)

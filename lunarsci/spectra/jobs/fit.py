@@ -10,6 +10,7 @@ from lunarsci.errors import Failure, ParameterError, RequestError
 from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.io.records import Records, in_blocks
 from lunarsci.io.tables import table_hashes
+from lunarsci.minerals import MINERALS
 from lunarsci.options import request_of
 from lunarsci.result import NOT_TO_BE_TRUSTED, Doubt, MadeFrom, Progress, Result, job
 from lunarsci.spectra.abundance.kinds import TABLE as KINDS
@@ -18,7 +19,7 @@ from lunarsci.spectra.abundance.result import Abundance
 from lunarsci.spectra.jobs.requests import FitRequest, ModelRequest
 from lunarsci.spectra.jobs.verdicts import with_causes
 from lunarsci.spectra.mgm import PERCENT_OF, MgmContinuum
-from lunarsci.spectra.mgm.assemblages import MINERALS, TABLES
+from lunarsci.spectra.mgm.assemblages import TABLES
 from lunarsci.spectra.mgm.batch import beyond_any, compositions
 from lunarsci.spectra.mgm.columns import FitColumns, rows_of, rows_one_by_one
 from lunarsci.spectra.mgm.damping import fit_damping

@@ -18,12 +18,13 @@ from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.constants import MGM, NBSR, PAPER, SMOOTHING
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.io.inputs import read_input
+from lunarsci.minerals import WEIGHED
 from lunarsci.spectra.abundance.end_members import TABLE as END_MEMBERS
 from lunarsci.spectra.abundance.end_members import StatedModes
 from lunarsci.spectra.abundance.kinds import KINDS, kinds_of_rows
 from lunarsci.spectra.abundance.kinds import TABLE as KIND_TABLE
-from lunarsci.spectra.abundance.learned import MINERALS, foretell
 from lunarsci.spectra.abundance.learned import TABLE as NETWORKS
+from lunarsci.spectra.abundance.learned import foretell
 from lunarsci.spectra.abundance.shares import TABLE as CALIBRATION
 from lunarsci.spectra.abundance.shares import shares_of_rows
 from lunarsci.spectra.band_status import BANDS, STATUSES
@@ -333,7 +334,7 @@ class UnmixProduct(Product):
         self, wavelength_nm: FloatArray, reflectance: FloatArray, dark: FloatArray, weathered: BoolArray
     ) -> Mapping[str, Any]:
         """Layers of spectra of the same channels."""
-        allowed = np.tile([float(name in self.minerals) for name in MINERALS], (len(reflectance), 1))
+        allowed = np.tile([float(name in self.minerals) for name in WEIGHED], (len(reflectance), 1))
         rock = np.full(len(reflectance), float(self.kind == "solid-rock"))
         foretold, values = foretell(wavelength_nm, reflectance, allowed), dict[str, Any]()
         for ending in self.methods.values():
@@ -343,8 +344,8 @@ class UnmixProduct(Product):
                 mixed = mixed_estimate(spectra, foretold, allowed, StatedModes({}, {}), None, UnmixRequest(), None)
             mean, ends, inside = shares_of_rows(foretold, allowed, dark, rock, weathered, mixed)
             values[f"shares{ending}_in_domain"] = inside
-            for k in map(MINERALS.index, self.minerals):
-                name = f"share_{MINERALS[k]}{ending}"
+            for k in map(WEIGHED.index, self.minerals):
+                name = f"share_{WEIGHED[k]}{ending}"
                 values[name] = mean[:, k]
                 for number, end in enumerate(("low", "high", "low95", "high95")):
                     values[f"{name}_{end}"] = ends[:, k, number]
@@ -423,4 +424,4 @@ def _spectra(wavelength_nm: FloatArray, reflectance: FloatArray) -> list[Spectru
 
 def minerals_of(request: MapRequest) -> list[str]:
     """Those that unmix weighs."""
-    return named_minerals(request.assemblage) if request.assemblage else list(MINERALS)
+    return named_minerals(request.assemblage) if request.assemblage else list(WEIGHED)

@@ -11,6 +11,7 @@ from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, Param
 from lunarsci.io.inputs import InputFile, expand_inputs, read_input
 from lunarsci.io.records import Records, RecordsInBlocks, in_blocks
 from lunarsci.io.tables import table_hashes
+from lunarsci.minerals import WORDS
 from lunarsci.names import some_of
 from lunarsci.options import request_of
 from lunarsci.result import NOT_TO_BE_TRUSTED, Doubt, MadeFrom, Progress, Result, job
@@ -26,7 +27,6 @@ from lunarsci.spectra.origin.catalogue import (
 )
 from lunarsci.spectra.origin.composition import (
     ERRORS,
-    SHORT,
     Rock,
     joined,
     read_rocks,
@@ -305,7 +305,7 @@ def _mapped(result: Candidates, maps: Sequence[str], annulus: str) -> Candidates
             names |= dict.fromkeys(written, item)
             continue
         key, equals, file = item.partition("=")
-        mineral = SHORT.get(key.strip().lower(), key.strip().lower())
+        mineral = WORDS.get(key.strip().lower(), key.strip().lower())
         if not equals or not file or mineral in names:
             raise RequestError(f"`mineral_map` '{item}': give MINERAL=FILE.tif, each mineral once, or MAP.nc of shares")
         names[mineral] = file

@@ -302,8 +302,8 @@ class MatchRequest:
 
     Attributes
     ----------
-    modes : Modes of a rock without a file: olivine, orthopyroxene, clinopyroxene, plagioclase (or ol, opx, cpx, plg);
-        two or more, compared as shares of those given.
+    modes : Modes of a rock without a file, of OL, OPX, CPX, PLG, by abbreviation or name; two or more, compared as
+        shares of those given.
     bands : Its band centres, bc1000 and bc2000, in nm.
     kind : Kind of target of `modes`; errors are raised to those known for this kind. Left out: errors as given.
     name : Name of that rock.

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 from lunarsci.errors import ParameterError
 from lunarsci.io.tables import table_hashes
+from lunarsci.minerals import MINERALS, WORDS
 from lunarsci.options import request_of
 from lunarsci.result import MadeFrom, Result
 from lunarsci.spectra.jobs.requests import SimulateVnisRequest
-from lunarsci.spectra.mgm.assemblages import MINERALS
 from lunarsci.spectra.mgm.assemblages import TABLES as BANDS_TABLES
 from lunarsci.spectra.photometry import TABLE as PHASE_TABLE
 from lunarsci.spectra.photometry import Geometry, phase_function
@@ -92,12 +92,11 @@ def simulate(request: SimulateVnisRequest | None = None, **options: Any) -> Simu
 def _composition(text: str) -> SceneComposition:
     """A composition from `ol=0.1,opx=0.3,cpx=0.2,plg=0.4`. Raises ParameterError for anything else."""
     keys = {key.lower(): name for key, name in MINERALS.items() if name in SceneComposition.__dataclass_fields__}
-    names = {**keys, **{name: name for name in keys.values()}}
     fractions: dict[str, float] = {}
     for part in text.split(","):
         key, _, value = part.partition("=")
-        name = names.get(key.strip().lower())
-        if name is None or name in fractions:
+        name = WORDS.get(key.strip().lower(), "")
+        if name not in keys.values() or name in fractions:
             raise ParameterError(
                 f"composition '{text[:60]}': '{part}' is none of {', '.join(keys)} = fraction, each once"
             )

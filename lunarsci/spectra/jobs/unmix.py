@@ -13,16 +13,17 @@ from lunarsci.constants import ABSORBANCE, HAPKE, WEATHERING
 from lunarsci.errors import DataError, Failure, ParameterError, RequestError, warn
 from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.io.tables import table_hashes
+from lunarsci.minerals import ABBREVIATIONS, WEIGHED
 from lunarsci.names import some_of
 from lunarsci.options import request_of
 from lunarsci.result import Doubt, MadeFrom, Progress, Result, job
-from lunarsci.spectra.abundance.end_members import FAMILY_OF, NEEDED_NM, OPAQUE, StatedModes, reaches, read_modes
+from lunarsci.spectra.abundance.end_members import OPAQUE, StatedModes, reaches, read_modes
 from lunarsci.spectra.abundance.end_members import TABLE as END_MEMBERS
 from lunarsci.spectra.abundance.estimate import estimate_series
 from lunarsci.spectra.abundance.kinds import TABLE as KINDS
 from lunarsci.spectra.abundance.kinds import KindVerdict, find_kinds
-from lunarsci.spectra.abundance.learned import MINERALS, Foretold, foretell_each
 from lunarsci.spectra.abundance.learned import TABLE as NETWORKS
+from lunarsci.spectra.abundance.learned import Foretold, foretell_each
 from lunarsci.spectra.abundance.mixing import IRON_TABLE
 from lunarsci.spectra.abundance.normative import TABLE as SOIL
 from lunarsci.spectra.abundance.normative import Normative, normative, normative_pages
@@ -35,7 +36,7 @@ from lunarsci.spectra.chemistry.bands import TABLE as CHONDRITES
 from lunarsci.spectra.chemistry.bands import chondrite_record, chondrites
 from lunarsci.spectra.jobs.requests import UnmixRequest
 from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource, read_batch
-from lunarsci.spectra.readers.library import EndMember, read_library
+from lunarsci.spectra.readers.library import NEEDED_NM, EndMember, read_library
 from lunarsci.spectra.spectrum import Spectrum
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ REFUSED = "a soil that space has weathered, whose glass and iron no mixture of p
 
 def named_minerals(assemblage: str) -> list[str]:
     """Full names of the minerals of an assemblage."""
-    short = {key: mineral for mineral, key in FAMILY_OF.items()}
+    short = {ABBREVIATIONS[mineral]: mineral for mineral in WEIGHED}
     parts = [part.strip().upper() for part in assemblage.replace(",", "-").split("-")]
     if strange := [part for part in parts if part not in short]:
         raise RequestError(
@@ -182,7 +183,7 @@ def unmix(
     kinds = find_kinds(batch.spectra, None if asked.kind == "auto" else asked.kind)
     if asked.together and not asked.mixes:
         warn("`together` needs the minerals by name (`assemblage`): each spectrum is answered by itself")
-    named = named_minerals(asked.assemblage) if asked.assemblage else list(MINERALS)
+    named = named_minerals(asked.assemblage) if asked.assemblage else list(WEIGHED)
     soils = [index for index, kind in enumerate(kinds) if kind.kind == "weathered-soil" and not modes_file]
     taken = [index for index in range(len(kinds)) if index not in set(soils)]
     result = dict(zip(taken, _shares([batch.spectra[k] for k in taken], [kinds[k] for k in taken], named, modes,
@@ -221,12 +222,12 @@ def _shares(
 ) -> list[Abundance]:
     if not spectra:
         return []
-    allowed = np.tile([float(mineral in named) for mineral in MINERALS], (len(spectra), 1))
+    allowed = np.tile([float(mineral in named) for mineral in WEIGHED], (len(spectra), 1))
     for row, spectrum in zip(allowed, spectra, strict=True):
         for mineral in modes.absent.get(spectrum.id, ()):
-            row[MINERALS.index(mineral)] = 0.0
+            row[WEIGHED.index(mineral)] = 0.0
         if mineral_shares := modes.shares.get(spectrum.id):
-            row *= [float(mineral_shares.get(mineral, 0.0) > 0) for mineral in MINERALS]
+            row *= [float(mineral_shares.get(mineral, 0.0) > 0) for mineral in WEIGHED]
     foretold = foretell_each(spectra, allowed)
     mixed = mixed_estimate(spectra, foretold, allowed, modes, end_members, request, progress) if request.mixes else None
     result = abundances([one.id for one in spectra], "unmix", foretold, allowed, kinds, mixed, request.prior)
@@ -263,9 +264,9 @@ def mixed_estimate(
     }
     dark = [OPAQUE] * request.opaque
     there = [index for index, spectrum in enumerate(spectra) if reaches(spectrum)]
-    names = [[name for k, name in enumerate(MINERALS) if row[k]] for row in allowed]
+    names = [[name for k, name in enumerate(WEIGHED) if row[k]] for row in allowed]
     if request.in_series:
-        groups, minerals = [there], [name for k, name in enumerate(MINERALS) if allowed[:, k].any()]
+        groups, minerals = [there], [name for k, name in enumerate(WEIGHED) if allowed[:, k].any()]
         stated = [modes.shares.get(spectrum.id) for spectrum in spectra]
         free = [None if modes_of_one else some + dark for modes_of_one, some in zip(stated, names, strict=True)]
         how |= {"present": [free[k] for k in there], "given": [stated[k] for k in there]}

@@ -6,8 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from lunarsci.minerals import WEIGHED
 from lunarsci.names import some_of
 from lunarsci.result import from_prior
+from lunarsci.spectra.abundance.shares import OPEN
 from lunarsci.spectra.band_status import NARROW_TEXT, centre_text
 from lunarsci.spectra.bands import measure_batch
 from lunarsci.spectra.chemistry.plane import OLIVINE_NM, OPX_MOST_NM
@@ -66,9 +68,6 @@ SEEN = 2.0
 """A band is seen where its strength is this many standard errors off 0; assumed."""
 WEAK = ("OL M1-1", "OPX M1", "CPX M1")
 """Bands that a mineral may lack: its weakest beside others of its own."""
-SURE_THERE = 0.9
-"""Probability of more than 5 % of a mineral from which it is called likely there; assumed."""
-MINERALS = ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase")
 
 
 def centre_texts(record: Mapping[str, Any]) -> dict[str, str]:
@@ -215,10 +214,10 @@ def shares_verdict(record: Mapping[str, Any]) -> str:
     if record["kind"]["name"] == "weathered-soil":
         return "no shares of minerals: a weathered soil has a composition by regression instead"
     shares = record["abundance"]
-    values = ", ".join(f"{name} {_percent(shares[name])}" for name in MINERALS if name in shares)
-    if not any(shares[name]["fraction"] is not None for name in MINERALS if name in shares):
+    values = ", ".join(f"{name} {_percent(shares[name])}" for name in WEIGHED if name in shares)
+    if not any(shares[name]["fraction"] is not None for name in WEIGHED if name in shares):
         return f"no share to be quoted: {shares['status']}"
-    likely = [name for name in MINERALS if name in shares and (shares[name]["present"] or 0.0) > SURE_THERE]
+    likely = [name for name in WEIGHED if name in shares and (shares[name]["present"] or 0.0) > OPEN[1]]
     parts = [f"{'' if shares['in_domain'] else 'uncertain; quote the 95 % intervals alone: '}{values}"]
     parts += [f"likely there: {', '.join(likely)}"] if likely else []
     ratios = [f"{name.replace('_', ' ')} {_percent(item)}" for name, item in shares["ratios"].items()]
@@ -239,8 +238,8 @@ def shares_counted(records: Sequence[Mapping[str, Any]]) -> list[str]:
     there = Counter(
         name
         for record in records
-        for name in MINERALS
-        if name in record["abundance"] and (record["abundance"][name]["present"] or 0.0) > SURE_THERE
+        for name in WEIGHED
+        if name in record["abundance"] and (record["abundance"][name]["present"] or 0.0) > OPEN[1]
     )
     parts = [f"shares likely within 15 %: {inside} of {total} spectra; of the others quote the 95 % intervals"]
     parts += [f"likely there: {', '.join(f'{name} in {n}' for name, n in there.most_common())}"] if there else []

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 from lunarsci.errors import ParameterError
 from lunarsci.io.tables import table_rows
+from lunarsci.minerals import MINERALS
 from lunarsci.names import meant
 
-MINERALS = {"OL": "olivine", "OPX": "orthopyroxene", "CPX": "clinopyroxene", "PLG": "plagioclase"}
 GROUPS = {"pyroxene": ("OPX", "CPX")}
 """Minerals that stand for each other in a spectrum: that one of them is there may be sure where each alone is open."""
 PYROXENES = ("pyroxene", *(MINERALS[key] for key in GROUPS["pyroxene"]))

@@ -27,8 +27,9 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.io.inputs import InputFile, text
+from lunarsci.minerals import MINERALS
 from lunarsci.spectra.mgm import MgmContinuum
-from lunarsci.spectra.mgm.assemblages import MINERALS, Assemblage, BandPrior
+from lunarsci.spectra.mgm.assemblages import Assemblage, BandPrior
 from lunarsci.spectra.mgm.model import KINDS, NM_PER_UM, RANGE_NM, TIE_SIGMA, MgmModel, continuum_basis
 from lunarsci.spectra.mgm.result import MgmFit
 

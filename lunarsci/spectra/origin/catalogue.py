@@ -12,7 +12,9 @@ from lunarsci.constants import MOON_RADIUS_KM
 from lunarsci.errors import DataError, ParameterError, warn
 from lunarsci.io.inputs import InputFile
 from lunarsci.io.tables import check_columns, table_rows
-from lunarsci.spectra.origin.composition import ABOVE_0, BANDS, MINERALS, Composition, check_ranges
+from lunarsci.minerals import WITH_BANDS
+from lunarsci.ranges import check_range
+from lunarsci.spectra.origin.composition import BANDS, Composition
 from lunarsci.spectra.readers.columns import rows_by_id
 from lunarsci.spectra.rows import number
 
@@ -22,7 +24,8 @@ Point = tuple[float, float]
 
 def checked_point(latitude_deg: float, longitude_deg: float) -> Point:
     """Latitude -90 to 90 and longitude east -180 to 360 of a point; else ParameterError. [deg]"""
-    check_ranges(("latitude", latitude_deg, -90, 90, "deg"), ("longitude", longitude_deg, -180, 360, "deg east"))
+    check_range("latitude", latitude_deg, "[-90, 90]")
+    check_range("longitude", longitude_deg, "[-180, 360]", "degrees east")
     return float(latitude_deg), float(longitude_deg)
 
 
@@ -75,7 +78,7 @@ FEWEST_TO_DOUBT = 3
 REQUIRED = ("name", "latitude_deg", "longitude_deg", "diameter_km")
 SOURCES = ("position_source", "age_source", "composition_source", "source")
 PAIRS = {"age_low_ma": "age_high_ma"} | {
-    name: f"{name.removesuffix('_nm')}_sigma{'_nm' if name in BANDS else ''}" for name in (*MINERALS, *BANDS)
+    name: f"{name.removesuffix('_nm')}_sigma{'_nm' if name in BANDS else ''}" for name in (*WITH_BANDS, *BANDS)
 }
 """Columns that go together."""
 COLUMNS = (*REQUIRED, *(column for pair in PAIRS.items() for column in pair), *SOURCES)
@@ -108,11 +111,9 @@ class Crater:
     def __post_init__(self) -> None:
         checked_point(self.latitude_deg, self.longitude_deg)
         youngest, oldest = self.age_ma
-        check_ranges(
-            ("diameter", self.diameter_km, ABOVE_0, LARGEST_KM, "km"),
-            ("age", youngest, ABOVE_0, OLDEST_MA, "Ma"),
-            ("oldest age", oldest, youngest, OLDEST_MA, "Ma"),
-        )
+        check_range("diameter_km", self.diameter_km, f"(0, {LARGEST_KM}]")
+        check_range("youngest age", youngest, f"(0, {OLDEST_MA}]")
+        check_range("oldest age", oldest, f"[{youngest}, {OLDEST_MA}]")
 
     @property
     def center(self) -> Point:
@@ -163,7 +164,7 @@ def _crater(row: Mapping[str, str]) -> Crater:
     torn = [f"{one} and {other} go together" for one, other in PAIRS.items() if (one in values) != (other in values)]
     if lacking := [f"{column} is empty" for column in REQUIRED if column not in cells] + torn:
         raise ParameterError(f"{lacking[0]}; complete the line")
-    modes, bands = ({name: pairs[name] for name in some if name in pairs} for some in (MINERALS, BANDS))
+    modes, bands = ({name: pairs[name] for name in some if name in pairs} for some in (WITH_BANDS, BANDS))
     return Crater(
         name=cells["name"],
         **{column: values[column] for column in REQUIRED[1:]},

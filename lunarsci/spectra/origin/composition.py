@@ -5,7 +5,6 @@ Rocks from the JSON results of `lunarsci spectra fit` and `lunarsci spectra band
 
 import json
 import math
-import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -19,29 +18,19 @@ from lunarsci.io import inputs
 from lunarsci.io.documents import json_document
 from lunarsci.io.inputs import InputFile
 from lunarsci.io.tables import table_rows
-from lunarsci.spectra.mgm.assemblages import MINERALS as BY_KEY
+from lunarsci.minerals import WITH_BANDS, WORDS
+from lunarsci.ranges import NOT_NEGATIVE, POSITIVE, SHARE, check_range
 from lunarsci.spectra.rows import number
 
-MINERALS = tuple(BY_KEY.values())
-BANDS = {"bc1000_nm": (700.0, 1300.0), "bc2000_nm": (1500.0, 2600.0)}
+BANDS = {"bc1000_nm": "[700, 1300]", "bc2000_nm": "[1500, 2600]"}
 """Band centres, and the range outside which a value is no such centre; assumed. [nm]"""
 LARGEST_SUM = 1.1
 """Modes that add up to more are in the wrong unit or wrong: published ones of 102 % exist. Assumed."""
-ABOVE_0 = float(np.nextafter(0.0, 1.0))
 SMALLEST_SIGMA = 1e-4
 """Standard deviation of a mode is taken as at least this, that a covariance can be inverted."""
 
 Value = tuple[float, float]
 """A value and its standard deviation."""
-
-
-def check_ranges(*ranges: tuple[str, float, float, float, str]) -> None:
-    """Raise ParameterError for the first of (what, value, lowest, highest, unit) whose value lies outside."""
-    for what, value, low, high, unit in ranges:
-        if not low <= value <= high:
-            least = "above 0" if low == ABOVE_0 else f"{low:g}"
-            end = f" to {high:g}" if math.isfinite(high) else ""
-            raise ParameterError(f"{what} is {value:g}; it must be {least}{end} {unit}".rstrip())
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +39,7 @@ class Composition:
 
     Attributes
     ----------
-    modes : fraction of some of `MINERALS`, 0 to 1; by volume or weight, only their shares count.
+    modes : fraction of some of `WITH_BANDS`, 0 to 1; by volume or weight, only their shares count.
     bands : some of `bc1000_nm` and `bc2000_nm`. [nm]
     correlation : of the modes in their order, (n, n); independent where None.
 
@@ -62,20 +51,16 @@ class Composition:
     correlation: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        for given, ranges in ((self.modes, dict.fromkeys(MINERALS, (0.0, 1.0))), (self.bands, BANDS)):
+        for given, ranges in ((self.modes, dict.fromkeys(WITH_BANDS, SHARE)), (self.bands, BANDS)):
             for name, (value, sigma) in given.items():
                 if name not in ranges:
                     raise ParameterError(f"'{name}' is no mineral or band here; there are {', '.join(ranges)}")
-                unit = "nm" if ranges is BANDS else ""
-                least, most = (ABOVE_0, 1e3) if unit else (0.0, 1.0)
-                check_ranges((name, value, *ranges[name], unit), (f"error of {name}", sigma, least, most, unit))
+                check_range(name, value, ranges[name])
+                check_range(f"error of {name}", sigma, POSITIVE if ranges is BANDS else SHARE)
         if self.modes:
-            total = sum(value for value, _ in self.modes.values())
-            check_ranges(("sum of the modes", total, ABOVE_0, LARGEST_SUM, ""))
+            check_range("sum of the modes", sum(value for value, _ in self.modes.values()), f"(0, {LARGEST_SUM}]")
         if len(self.modes) == 1:
             raise ParameterError(f"{next(iter(self.modes))} alone is no share of anything; give two minerals or none")
-        if self.correlation is not None and not _is_correlation(self.correlation, len(self.modes)):
-            raise ParameterError(f"correlation of {len(self.modes)} modes: must be symmetric, 1 on the diagonal")
 
     @property
     def comparable(self) -> bool:
@@ -102,11 +87,6 @@ def closed(values: FloatArray, covariance: FloatArray) -> tuple[FloatArray, Floa
     share = values / total[..., None]
     jacobian = (np.eye(values.shape[-1]) - share[..., :, None]) / total[..., None, None]
     return share, jacobian @ covariance @ np.swapaxes(jacobian, -1, -2)
-
-
-def _is_correlation(matrix: FloatArray, size: int) -> bool:
-    good = matrix.shape == (size, size) and np.isfinite(matrix).all() and np.allclose(matrix, matrix.T)
-    return bool(good and np.allclose(np.diag(matrix), 1) and np.linalg.eigvalsh(matrix)[0] >= -1e-9)
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +174,7 @@ def _from_shares(abundance: Mapping[str, Any], kind: str, name: str) -> Rock | N
             f"its shares hold the prior {prior}, which is no evidence of a crater, and do not count; unmix without it"
         )
         return Rock(name, Composition(), (text,))
-    given = {mineral: abundance.get(mineral) or {} for mineral in MINERALS}
+    given = {mineral: abundance.get(mineral) or {} for mineral in WITH_BANDS}
     modes = {mineral: _interval(item) for mineral, item in given.items() if item.get("low") is not None}
     determined = [mineral for mineral in modes if given[mineral].get("fraction") is not None]
     remarks: list[str] = ["its shares are those of the first method (`abundance` in JSON)"]
@@ -239,7 +219,7 @@ def measured_errors(kind: str) -> Mapping[str, float]:
     """
     squares: dict[str, dict[str, list[float]]] = {}
     for row in table_rows(ERRORS):
-        for mineral in MINERALS:
+        for mineral in WITH_BANDS:
             if row["class"] == kind and row[f"error_{mineral}"]:
                 of_suite = squares.setdefault(mineral, {}).setdefault(row["suite"], [])
                 of_suite.append(float(row[f"error_{mineral}"]) ** 2)
@@ -269,9 +249,9 @@ def _from_bands(record: Mapping[str, Any], name: str) -> Rock | None:
 
 def _combined(record: Mapping[str, Any], keys: Iterable[str], what: str) -> float:
     parts = [float(record[key]) for key in keys if record.get(key) is not None]
-    sigma = math.hypot(*parts)
-    for value, least in (*((part, 0.0) for part in parts), (sigma, ABOVE_0)):
-        check_ranges((f"error of {what}", value, least, sys.float_info.max, ""))
+    for part in parts:
+        check_range(f"error of {what}", part, NOT_NEGATIVE)
+    check_range(f"error of {what}", sigma := math.hypot(*parts), POSITIVE)
     return sigma
 
 
@@ -296,8 +276,6 @@ def _merged(one: Rock, other: Rock) -> Rock:
     return Rock(one.id, both, (*one.remarks, *other.remarks), (*one.tables, *other.tables))
 
 
-SHORT = {key.lower(): mineral for key, mineral in BY_KEY.items()}
-"""Abbreviations of minerals."""
 BAND_NAMES = {"bc1000": "bc1000_nm", "bc2000": "bc2000_nm", "bc1000_nm": "bc1000_nm", "bc2000_nm": "bc2000_nm"}
 
 
@@ -310,7 +288,7 @@ def stated_composition(
 
     Raises RequestError for another text, ParameterError as `Composition` does.
     """
-    shares = _pairs(modes, "modes", SHORT | {mineral: mineral for mineral in MINERALS})
+    shares = _pairs(modes, "modes", {word: name for word, name in WORDS.items() if name in WITH_BANDS})
     shares, remark = widened(shares, kind) if kind else (shares, "")
     return Composition(shares, _pairs(bands, "bands", BAND_NAMES)), (remark,) if remark else ()
 
@@ -332,6 +310,8 @@ def _pairs(text: str | None, option: str, names: dict[str, str]) -> dict[str, Va
         if name in pairs:
             raise RequestError(f"`{option}`: {name} is there twice; give it once")
         if not (equals and colon and name):
-            raise RequestError(f"`{option}` '{part}': give NAME=VALUE:ERROR, with a NAME of {', '.join(names)}")
+            raise RequestError(
+                f"`{option}` '{part}': give NAME=VALUE:ERROR, with a NAME of {', '.join(dict.fromkeys(names.values()))}"
+            )
         pairs[name] = (stated_number(value, f"`{option}` {key}"), stated_number(sigma, f"`{option}` {key}"))
     return pairs

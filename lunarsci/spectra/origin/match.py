@@ -19,12 +19,14 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.constants import MOON_RADIUS_KM
 from lunarsci.io.records import Codes, Listed, Records, Same
+from lunarsci.minerals import WITH_BANDS
 from lunarsci.names import some_of
 from lunarsci.parallel.blocks import arrays_in_blocks
 from lunarsci.provenance import sha256
+from lunarsci.ranges import SHARE, check_ranges
 from lunarsci.result import Progress
 from lunarsci.spectra.origin.catalogue import Crater, Point, azimuth_deg
-from lunarsci.spectra.origin.composition import MINERALS, SMALLEST_SIGMA, Composition, Rock, check_ranges, closed
+from lunarsci.spectra.origin.composition import SMALLEST_SIGMA, Composition, Rock, closed
 from lunarsci.spectra.origin.mineral_map import MapReport
 from lunarsci.spectra.origin.prior import (
     CraterPrior,
@@ -75,7 +77,7 @@ class CompositionRows:
 
     Attributes
     ----------
-    modes, mode_sigmas : fractions of `MINERALS`. (n, 4)
+    modes, mode_sigmas : fractions of `WITH_BANDS`. (n, 4)
     centers_nm, center_sigmas_nm : of `BAND_RANGE_NM`. (n, 2)
     correlation : of the modes, (n, 4, 4); independent where None.
     """
@@ -89,10 +91,10 @@ class CompositionRows:
     @classmethod
     def of(cls, rocks: Sequence[Composition]) -> "CompositionRows":
         size = len(rocks)
-        modes, bands = np.full((2, size, len(MINERALS)), np.nan), np.full((2, size, len(BAND_RANGE_NM)), np.nan)
-        correlation = np.broadcast_to(np.eye(len(MINERALS)), (size, len(MINERALS), len(MINERALS))).copy()
+        modes, bands = np.full((2, size, len(WITH_BANDS)), np.nan), np.full((2, size, len(BAND_RANGE_NM)), np.nan)
+        correlation = np.broadcast_to(np.eye(len(WITH_BANDS)), (size, len(WITH_BANDS), len(WITH_BANDS))).copy()
         for row, rock in enumerate(rocks):
-            places = [MINERALS.index(name) for name in rock.modes]
+            places = [WITH_BANDS.index(name) for name in rock.modes]
             for place, value in zip(places, rock.modes.values(), strict=True):
                 modes[:, row, place] = value
             if rock.correlation is not None:
@@ -143,7 +145,7 @@ class EvidenceRows:
         """Of one rock and one crater."""
         modes, bands = self.ln_modes[rock, crater], self.ln_bands[rock, crater]
         entry = self.craters[crater]
-        minerals = [m for k, m in enumerate(MINERALS) if m in entry.modes and np.isfinite(self.rocks.modes[rock, k])]
+        minerals = [m for k, m in enumerate(WITH_BANDS) if m in entry.modes and np.isfinite(self.rocks.modes[rock, k])]
         centers = [b for k, b in enumerate(BAND_RANGE_NM) if b in entry.bands and _has_center(self.rocks, k)[rock]]
         return CompositionEvidence(
             None if np.isnan(modes) else float(modes),
@@ -173,7 +175,7 @@ def evidence_rows(
         error = error + systematic**2 * np.eye(len(minerals))
         broad = ln_shares_broad(seen, error)
         for number in numbers:
-            mean, scatter = craters[number].shares([MINERALS[place] for place in minerals])
+            mean, scatter = craters[number].shares([WITH_BANDS[place] for place in minerals])
             ln_modes[rows, number] = ln_shares_crater(seen, error, mean, scatter) - broad
     for number, crater in enumerate(craters):
         for place, name in enumerate(BAND_RANGE_NM):
@@ -194,8 +196,8 @@ def _comparable(
         rows = np.flatnonzero((given == kind).all(axis=1))
         groups: dict[tuple[int, ...], list[int]] = {}
         for number, crater in enumerate(craters):
-            minerals = tuple(k for k, name in enumerate(MINERALS) if kind[k] and name in crater.modes)
-            if len(minerals) > 1 and sum(crater.modes[MINERALS[k]][0] for k in minerals) > 0:
+            minerals = tuple(k for k, name in enumerate(WITH_BANDS) if kind[k] and name in crater.modes)
+            if len(minerals) > 1 and sum(crater.modes[WITH_BANDS[k]][0] for k in minerals) > 0:
                 groups.setdefault(minerals, []).append(number)
         for minerals, numbers in groups.items():
             present = rows[rocks.modes[np.ix_(rows, np.array(minerals))].sum(axis=1) > 0]
@@ -313,10 +315,7 @@ class MatchSettings:
     prior: PriorSettings
 
     def __post_init__(self) -> None:
-        check_ranges(
-            ("systematic", self.systematic, 0, 1, ""),
-            ("systematic of the bands", self.band_systematic_nm, 0, 500, "nm"),
-        )
+        check_ranges(self, {SHARE: "systematic", "[0, 500]": "band_systematic_nm"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -634,7 +633,7 @@ def _status(rock: Rock, matches: Sequence[CraterMatch], other: float, decided: b
 
 
 def assumptions(
-    matches: Sequence[RockMatch],
+    matches: RockMatches,
     given: tuple[str, Sequence[MapReport]],
     site_of_rocks: tuple[Point, bool],
     settings: MatchSettings,
@@ -649,10 +648,20 @@ def assumptions(
         f"{settings.band_systematic_nm:g} nm in a band centre, one standard deviation (assumed)",
         f"other sources than these craters: prior {prior.other_weight:g}, any composition (assumed)",
         *_craters_notes(matches[0].craters, settings),
+        *_not_compared(matches),
     ]
     if prior.kind == "uniform":
         return [*lines, "prior: all craters alike but those that contain the site", *_map_notes(maps)]
     return [*lines, *_prior_notes(site, settings, matches[0].craters), *_map_notes(maps)]
+
+
+def _not_compared(matches: RockMatches) -> list[str]:
+    """Minerals of rocks that no crater states, where any states modes."""
+    stated = {mineral for crater in matches.craters for mineral in crater.composition.modes}
+    of_rocks = np.isfinite(matches.evidence.rocks.modes).any(axis=0)
+    left = [mineral for k, mineral in enumerate(WITH_BANDS) if of_rocks[k] and mineral not in stated]
+    text = f"no crater states its {' or '.join(left)}: shares of the rocks are compared without"
+    return [text] if left and stated else []
 
 
 def _craters_notes(items: Sequence[CraterMatch], settings: MatchSettings) -> list[str]:

@@ -17,24 +17,25 @@ import numpy.typing as npt
 from lunarsci.arrays import FloatArray
 from lunarsci.constants import MOON_RADIUS_KM
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.minerals import WITH_BANDS
+from lunarsci.ranges import check_range
 from lunarsci.spectra.cubes.rasters import HDF, netcdf, opened, start_of
 from lunarsci.spectra.origin.catalogue import Crater, destination
-from lunarsci.spectra.origin.composition import LARGEST_SUM, MINERALS, Composition, check_ranges
+from lunarsci.spectra.origin.composition import LARGEST_SUM, Composition
 
 if TYPE_CHECKING:
     from rasterio.io import DatasetReader
 
 
 ANNULUS = (1.0, 2.0)
-"""Ring of ejecta, in rim radii from the centre; assumed: about the reach of the continuous blanket."""
+"""Ring of ejecta, in rim radii from the centre, within the continuous blanket, which reaches to some 2.3: Moore, Hodges
+& Scott (1974), Proc. Lunar Sci. Conf. 5, 71."""
 RINGS, SPOKES = 64, 256
 FEWEST_VALID = 50
 """Points with a value below which a ring is taken as empty; assumed."""
 LARGEST_SIDE = 4096
 """A window with more pixels a side than this is read at a lower resolution."""
 LONGITUDE_LATITUDE = f"+proj=longlat +R={1e3 * MOON_RADIUS_KM:.0f} +no_defs"
-PERCENT_FROM = 1.5
-"""A map with more than this in a ring is in percent; assumed."""
 LAYER = "share_{}"
 """Name of the layer of a mineral in what `spectra map` writes."""
 
@@ -73,10 +74,11 @@ def with_maps(
 
 
 def _check_request(maps: Mapping[str, str], annulus: tuple[float, float]) -> None:
-    if len(maps) < 2 or not maps.keys() <= set(MINERALS):
-        raise ParameterError(f"maps of {', '.join(maps)} give no shares; give two or more of {', '.join(MINERALS)}")
+    if len(maps) < 2 or not maps.keys() <= set(WITH_BANDS):
+        raise ParameterError(f"maps of {', '.join(maps)} give no shares; give two or more of {', '.join(WITH_BANDS)}")
     low, high = annulus
-    check_ranges(("start of the ring", low, 0, 20, "rim radii"), ("end of the ring", high, low + 1e-9, 20, "rim radii"))
+    check_range("start of the ring", low, "[0, 20]", "in rim radii")
+    check_range("end of the ring", high, f"({low}, 20]", "in rim radii")
 
 
 def minerals_of(file: str) -> list[str]:
@@ -86,7 +88,7 @@ def minerals_of(file: str) -> list[str]:
     else:
         with opened(file, "GTiff") as dataset:
             names = [name or "" for name in dataset.descriptions]
-    return [mineral for mineral in MINERALS if LAYER.format(mineral) in names]
+    return [mineral for mineral in WITH_BANDS if LAYER.format(mineral) in names]
 
 
 @contextmanager
@@ -238,7 +240,7 @@ def _unit(rings: Sequence[FloatArray], file: str) -> float:
     if not values.size:
         return 0.0
     largest = float(values.max())
-    unit = 100.0 if largest > PERCENT_FROM else 1.0
+    unit = 100.0 if largest > LARGEST_SUM else 1.0
     if largest > LARGEST_SUM * unit:
         raise DataError(f"{file}: has a value of {largest:g}; a mode is 0 to 1, or 0 to 100 percent")
     return unit

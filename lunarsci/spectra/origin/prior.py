@@ -13,7 +13,6 @@ the mean, over the draws, of each crater's share in the sum. Ejecta older than t
 nothing; a crater that contains the site has no ejecta there and is left out.
 """
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
@@ -24,8 +23,8 @@ import numpy.typing as npt
 from lunarsci.arrays import FloatArray
 from lunarsci.constants import LUNAR_GRAVITY, MOON_RADIUS_KM
 from lunarsci.errors import ParameterError
+from lunarsci.ranges import POSITIVE, check_range, check_ranges
 from lunarsci.spectra.origin.catalogue import OLDEST_MA, Crater, Point, distance_km
-from lunarsci.spectra.origin.composition import ABOVE_0, check_ranges
 
 SURVIVAL_SOURCE = "Basilevsky, Head & Hoerz (2013), Planet. Space Sci. 89, 118, 10.1016/j.pss.2013.07.011"
 MEASURED_SIZE_M = 2.0
@@ -44,8 +43,8 @@ class Range:
     high: float
 
     def __post_init__(self) -> None:
-        largest = sys.float_info.max
-        check_ranges(("range", self.low, ABOVE_0, largest, ""), ("end of the range", self.high, self.low, largest, ""))
+        check_range("range", self.low, POSITIVE)
+        check_range("end of the range", self.high, f"[{self.low}, inf)")
 
     def quantile(self, share: npt.ArrayLike) -> FloatArray:
         """Value below which this share (0 to 1) lies."""
@@ -70,7 +69,7 @@ def survival(
     (size / 2 m)^`size_exponent`; no count constrains that exponent below 2 m. Raises ParameterError for a size of 0 or
     below.
     """
-    check_ranges(("size of the rock", size_m, ABOVE_0, np.inf, "m"))
+    check_range("size of the rock", size_m, POSITIVE)
     life = np.asarray(median_life_ma, float) * (size_m / MEASURED_SIZE_M) ** size_exponent
     return np.asarray(np.exp2(-((np.asarray(age_ma, float) / life) ** survival_shape())))
 
@@ -103,7 +102,7 @@ def transient_radius_km(diameter_km: float) -> float:
     0.84 D / 2 for a simple crater, 18.7^0.15 D^0.85 / 2 from 18.7 km on (Croft 1985, 10.1029/JB090iS02p0C828); the
     two differ by 16 % where they meet. Raises ParameterError for a diameter that is not above 0.
     """
-    check_ranges(("diameter", diameter_km, ABOVE_0, sys.float_info.max, "km"))
+    check_range("diameter_km", diameter_km, POSITIVE)
     if diameter_km < SIMPLE_TO_COMPLEX_KM:
         return SIMPLE_SHRINKAGE * diameter_km / 2
     return float(SIMPLE_TO_COMPLEX_KM**COLLAPSE_EXPONENT * diameter_km ** (1 - COLLAPSE_EXPONENT) / 2)
@@ -162,7 +161,6 @@ CHANG_E_4_SURFACE_MA = 3600.0
 of the site has it, such as Remote Sens. 14, 49 (2022), 10.3390/rs14010049, of which the beginning was read. [Ma]"""
 STAGES = ("direct", "stirred", "gardened")
 DRAWS = 16384
-BELOW_1 = float(np.nextafter(1.0, 0.0))
 VALUES_AT_ONCE = 2_000_000
 
 
@@ -203,15 +201,11 @@ class PriorSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        surface = OLDEST_MA if self.surface_age_ma is None else self.surface_age_ma
-        check_ranges(
-            ("thickness factor", self.thickness_factor, 1, 100, ""),
-            ("weight of other sources", self.other_weight, 0, BELOW_1, ""),
-            ("stirring factor", self.stirring, 0, 1000, ""),
-            ("rock size", self.rock_size_m, ABOVE_0, 1000, "m"),
-            ("life exponent", self.life_exponent, -5, 5, ""),
-            ("surface age", surface, ABOVE_0, OLDEST_MA, "Ma"),
-        )
+        intervals = {
+            "[1, 100]": "thickness_factor", "[0, 1)": "other_weight", "[0, 1000]": "stirring",
+            "(0, 1000]": "rock_size_m", "[-5, 5]": "life_exponent", f"(0, {OLDEST_MA}]": "surface_age_ma",
+        }  # fmt: skip
+        check_ranges(self, intervals)
 
 
 @dataclass(frozen=True, slots=True)

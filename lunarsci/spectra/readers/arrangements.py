@@ -18,8 +18,8 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
 from lunarsci.io.inputs import InputFile
-from lunarsci.spectra.readers.columns import ERROR_SHARE, assign_roles, is_wavelength, says_error
-from lunarsci.spectra.readers.likely import LARGE_ERROR
+from lunarsci.spectra.readers.columns import ERROR_SHARE, LARGE_ERROR, assign_roles, is_wavelength, says_error
+from lunarsci.spectra.readers.likely import FEWEST
 from lunarsci.spectra.readers.table import SURELY, Column, SpectrumTable, length_unit, only_percent, stated_unit
 from lunarsci.spectra.rows import (
     DECIMAL_COMMA,
@@ -207,8 +207,6 @@ def _by_keys(about: Sequence[str], width: int) -> list[str]:
     return [axes["x"], axes["y"]] if width == 2 and {"x", "y"} <= {*axes} else []
 
 
-FEWEST_CHANNELS = 8
-"""Wavelengths in a header before its columns are channels; assumed."""
 MOST_COMPARED, SAME = 6, 2e-4
 """Columns among which quotients are looked for, and relative difference that rounding makes; assumed."""
 _BEGINS = re.compile(r"(wavelengths?|wave|wl|wvl|wav|lambda)[ _.-]", re.IGNORECASE)
@@ -263,7 +261,7 @@ def header_channels(names: Sequence[str]) -> tuple[list[int], FloatArray, str | 
     """Places of names that are wavelengths, these and their unit; None where they are few or in no order."""
     result = [(k, match) for k, name in enumerate(names) if (match := _CHANNEL.fullmatch(name.strip()))]
     values = np.array([float((match[1] or match[3]).replace(",", ".")) for _, match in result])
-    if values.size < FEWEST_CHANNELS or abs(np.sign(np.diff(values)).sum()) != values.size - 1:
+    if values.size < FEWEST or abs(np.sign(np.diff(values)).sum()) != values.size - 1:
         return None
     if not any(low <= values.min() and values.max() <= high for low, high in SURELY.values()):
         return None
@@ -277,7 +275,7 @@ def _first_is_wavelength(names: Sequence[str], rows: Sequence[Row]) -> bool:
     steps = np.sign(np.diff(first))
     one_way = first.size > 1 and abs(steps.sum()) == steps.size
     likely = one_way and any(low <= first.min() and first.max() <= high for low, high in SURELY.values())
-    return is_wavelength(names[0]) or (likely and number(names[0]) is None and len(rows) >= FEWEST_CHANNELS)
+    return is_wavelength(names[0]) or (likely and number(names[0]) is None and len(rows) >= FEWEST)
 
 
 def wavelength_groups(names: Sequence[str]) -> list[list[int]]:
@@ -305,7 +303,7 @@ def one_below_another(names: Sequence[str], rows: Sequence[Row], separator: str,
     for row in rows:
         each.setdefault(row.fields[labels[0]], []).append(row)
     wavelengths = Counter(row.fields[place] for row in rows)
-    if len(each) < 2 or len(each) * FEWEST_CHANNELS > len(rows) or max(wavelengths.values()) < 2:
+    if len(each) < 2 or len(each) * FEWEST > len(rows) or max(wavelengths.values()) < 2:
         return []
     others = [k for k in range(len(names)) if k != place and k not in labels]
     result = list[list[Column]]()

@@ -84,10 +84,6 @@ def _unit(column: Any, file: str) -> Any:
     if text in _DIMENSIONLESS:
         return u.dimensionless_unscaled
     length = "%" if text in _PERCENT else length_unit(text)
-    if length is None and is_wavelength(str(column.name)):
-        raise DataError(
-            f"{file}: column {quoted(str(column.name))} has the unknown unit {quoted(str(column.unit))}; use nm or um"
-        )
     return column.unit if length is None else u.Unit(length)
 
 
@@ -122,12 +118,8 @@ def _wavelength_place(names: list[str], units: list[Any], file: str) -> int | No
 
 
 def _values(column: Any, file: str) -> FloatArray:
-    if not _is_number_column(column):
-        raise DataError(f"{file}: column {quoted(str(column.name))} does not hold numbers; correct it in the file")
-    if column.ndim != 1:
-        raise DataError(
-            f"{file}: column {quoted(str(column.name))} has {column.ndim - 1} more dimensions; give one value per row"
-        )
+    if not _is_number_column(column) or column.ndim != 1:
+        raise DataError(f"{file}: column {quoted(str(column.name))} does not hold one number a row; correct it")
     values = np.ma.filled(np.ma.asarray(column).astype(float), np.nan)
     return np.array(values, dtype=float)
 
@@ -206,10 +198,11 @@ def read_fits(source: InputFile) -> SpectrumTable:
         warnings.simplefilter("always")
         table = _first_table(source)
     messages = [one_line(m.message) for m in caught]
-    if any("truncated" in m.lower() for m in messages) or (table is None and len(source.data) % _BLOCK):
-        raise DataError(f"{source.name}: truncated FITS file ({len(source.data)} bytes are too few); fetch it again")
-    if table is None:
-        raise DataError(f"{source.name}: no FITS table with two columns or more; store the spectra as a binary table")
+    cut = any("truncated" in m.lower() for m in messages) or (table is None and len(source.data) % _BLOCK)
+    if cut or table is None:
+        what = f"truncated FITS file ({len(source.data)} bytes are too few); fetch it again"
+        none = "no FITS table with two columns or more; store the spectra as a binary table"
+        raise DataError(f"{source.name}: {what if cut else none}")
     for message in messages:
         warn(f"{source.name}: {message}")
     return spectrum_table(_unrolled(table, source.name), source, "fits")
@@ -326,11 +319,9 @@ def _spectra_in_rows(table: Any, vectors: list[str], file: str) -> Any:
 
     waves = [name for name in vectors if is_wavelength(name) or _is_spectral(_unit(table[name], file))]
     others = [name for name in vectors if name not in waves]
-    if not waves or not others:
-        raise DataError(f"{file}: {len(table)} rows of vector cells without wavelengths; give one channel per row")
-    grid = np.asarray(table[waves[0]], dtype=float)
-    if not np.allclose(grid, grid[0], rtol=1e-9, equal_nan=True):
-        raise DataError(f"{file}: {len(table)} rows with wavelengths of their own; give a file for each")
+    grid = np.asarray(table[waves[0]] if waves else np.arange(len(table)), dtype=float)
+    if not waves or not others or not np.allclose(grid, grid[0], rtol=1e-9, equal_nan=True):
+        raise DataError(f"{file}: {len(table)} rows of vectors without common wavelengths; give one channel per row")
     texts = [name for name in table.colnames if table[name].dtype.kind in "SU" and len({*table[name]}) == len(table)]
     ids = [str(one).strip() for one in table[texts[0]]] if texts else [str(k + 1) for k in range(len(table))]
     result = Table({waves[0]: grid[0]}, meta=table.meta)

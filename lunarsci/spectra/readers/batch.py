@@ -259,12 +259,11 @@ def _of_arrays(
     if not isinstance(given, tuple) or len(given) not in (2, 3):
         raise ParameterError(f"{name}: {len(given)} arrays, or one alone, are no spectrum; {ARRAYS}")
     wavelength = np.asarray(given[0] if (quantity := _wavelengths(name, given[0])) is None else quantity, float)
-    if wavelength.ndim != 1:
-        raise ParameterError(f"{name}: wavelengths of shape {wavelength.shape}; they are one row of numbers")
     rows = [_rows_of(name, _plain(name, part), wavelength.size).copy() for part in given[1:]]
     units = ["fraction" if _quantity(part) is not None else None for part in given[1:]]
-    if len(rows) == 2 and len(rows[1]) not in (1, len(rows[0])):
-        raise ParameterError(f"{name}: {len(rows[1])} rows of errors for {len(rows[0])} spectra; {ARRAYS}")
+    if wavelength.ndim != 1 or len(rows[-1]) not in (1, len(rows[0])):
+        shapes = f"wavelengths of shape {wavelength.shape}, {len(rows[0])} spectra and {len(rows[-1])} rows of errors"
+        raise ParameterError(f"{name}: {shapes}; {ARRAYS}")
     columns = tuple(
         (
             Column(f"spectrum {before + k + 1}", values, k + 2, units[0]),
@@ -327,9 +326,7 @@ def _rows_of(name: str, given: Any, channels: int) -> FloatArray:
     values = np.asarray(given, float)
     if values.ndim == 2 and values.shape[0] == channels != values.shape[1]:
         return values.T
-    if values.ndim == 2 and values.shape == (channels, channels):
-        raise ParameterError(f"{name}: as many spectra as channels; give a table, or pairs of arrays in a list")
-    if values.ndim not in (1, 2) or values.shape[-1] != channels:
+    if values.ndim not in (1, 2) or values.shape[-1] != channels or values.shape == (channels, channels):
         raise ParameterError(f"{name}: an array of shape {values.shape} beside {channels} wavelengths; {ARRAYS}")
     return np.atleast_2d(values)
 

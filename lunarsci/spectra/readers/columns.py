@@ -19,7 +19,6 @@ from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.errors import DataError, warn
 from lunarsci.io.inputs import InputFile
 from lunarsci.names import some_of
-from lunarsci.spectra.readers.likely import LARGE_ERROR
 from lunarsci.spectra.readers.table import (
     MAX_FRACTION,
     PERCENT_SIGN,
@@ -183,8 +182,9 @@ _FOREIGN_UNITS = {
 }
 """Units in brackets of columns that are no reflectance: times, temperatures, raw numbers, widths, angles."""
 MOST_NAMED = 4
-ERROR_SHARE, ERROR_MOST = 0.05, 0.02
-"""A column of no more than this share of the one before it, and this reflectance, looks like its error; assumed."""
+ERROR_SHARE, ERROR_MOST, LARGE_ERROR = 0.05, 0.02, 0.3
+"""A column of no more than this share of the one before it, and this reflectance, looks like its error; above the
+larger share it looks like none; assumed."""
 _BRACKETED = re.compile(r"[(\[{]([^)\]}]*)[)\]}]\s*$")
 _RADIANT = re.compile(r"\b[mµμu]?w\b.*\b[cmµμu]?m\b|\bsr\b|\bwatt|m-?[²2]")
 """Units of radiance and irradiance."""

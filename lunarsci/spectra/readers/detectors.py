@@ -11,11 +11,9 @@ from itertools import pairwise
 import numpy as np
 
 from lunarsci.arrays import FloatArray, IntArray
-from lunarsci.spectra.readers.likely import LEAST_STEP, STEP_CHANNELS, STEP_SURE, scatter_of
+from lunarsci.spectra.readers.likely import LEAST_STEP, MOST_DETECTORS, STEP_CHANNELS, STEP_SURE, scatter_of
 from lunarsci.spectra.readers.table import SpectrumTable
 
-MOST_DETECTORS = 4
-"""Of a spectrometer; assumed: field spectrometers have two or three."""
 EVEN = 0.25
 """Share by which steps of one detector differ from the one before, at most; assumed."""
 

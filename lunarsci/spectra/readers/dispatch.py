@@ -125,15 +125,9 @@ def recognised(source: InputFile, start: str) -> str:
 
 def _refuse_others(source: InputFile, start: str) -> None:
     suffix = Path(source.name).suffix.lower()
-    if suffix in _FITS_SUFFIXES:
-        raise DataError(
-            f"{source.name}: is named FITS but does not begin with 'SIMPLE  ='; fetch it again or rename it"
-        )
-    for magic, kind in (_PACKED | _FOREIGN).items():
-        if source.data.startswith(magic):
-            raise DataError(f"{source.name}: is {kind}")
-    if suffix == ".ecsv":
-        raise DataError(f"{source.name}: is named ECSV but has no '# %ECSV' line; rename it .csv, or write it as ECSV")
+    foreign = next((kind for magic, kind in (_PACKED | _FOREIGN).items() if source.data.startswith(magic)), "")
+    if foreign or suffix in _FITS_SUFFIXES:
+        raise DataError(f"{source.name}: is {foreign or 'named FITS but does not begin with SIMPLE; fetch it again'}")
     if start.startswith("<"):
         raise DataError(f"{source.name}: is an HTML or XML page, not a table (an error page saved?); fetch it again")
 
@@ -196,12 +190,11 @@ def _rows_with_wavelength(table: SpectrumTable) -> tuple[SpectrumTable, int]:
     with np.errstate(invalid="ignore"):
         keep = np.isfinite(wavelength) & (wavelength > 0)
     bad = np.flatnonzero(~keep)
-    if wavelength.size == 0:
-        raise DataError(f"{file}: holds no data rows; check how it was made or downloaded")
-    if bad.size == 0:
+    if bad.size == 0 < wavelength.size:
         return table, 0
-    what = f"rows without a wavelength above 0: {bad.size} of {keep.size}, first {table.places[bad[0]]}"
-    if bad.size > keep.size / 2:
+    first = f", first {table.places[bad[0]]}" if bad.size else ""
+    what = f"rows without a wavelength above 0: {bad.size} of {keep.size}{first}"
+    if bad.size > keep.size / 2 or not wavelength.size:
         raise DataError(f"{file}: {what}; check that column {table.wavelength.label} is the wavelength")
     warn(f"{file}: left out {what}")
     return table.taken(keep), bad.size

@@ -178,21 +178,23 @@ def read_envi(source: InputFile) -> SpectrumTable:
     data file has another size than the header says.
     """
     if is_header(source):
-        header, data = source, _partner(source.name, data_names(source.name, DATA_SUFFIXES), "data file (.sli)")
+        header, data = (
+            source,
+            read_input(partner(source.name, data_names(source.name, DATA_SUFFIXES), "data file (.sli)")),
+        )
     else:
-        header, data = _partner(source.name, header_names(source.name), "header (.hdr)"), source
+        header, data = read_input(partner(source.name, header_names(source.name), "header (.hdr)")), source
     head = EnviHeader.of(header)
     channels, spectra = _size(head)
     names, scale = _names(head, spectra), head.scale()
     wavelength = head.numbers("wavelength", channels, "samples")
-    if wavelength is None:
-        raise DataError(f"{header.name}: has no 'wavelength'; a library needs one for each of its {channels} samples")
+    retained = [k for k, name in enumerate(names) if not _NOT_SPECTRA.match(name)]
+    if wavelength is None or not retained:
+        what = f"{spectra} records that are wavelengths or widths" if wavelength is not None else "no 'wavelength'"
+        raise DataError(f"{header.name}: has {what}; a library has spectra, and a wavelength for each of its samples")
     values = _values(data, head, (spectra, channels))
     whole = values.dtype.kind in "iu"
     values = _reflectances(values, head, channels)
-    retained = [k for k, name in enumerate(names) if not _NOT_SPECTRA.match(name)]
-    if not retained:
-        raise DataError(f"{header.name}: all {spectra} records are wavelengths or widths; it has no spectra")
     if len(retained) < spectra:
         warn(f"{header.name}: left out {spectra - len(retained)} records that are wavelengths or widths")
     unit, notes = "fraction" if scale is not None else None, list[str]()
@@ -211,12 +213,6 @@ def read_envi(source: InputFile) -> SpectrumTable:
         {"inputs": {header.name: header.sha256, data.name: data.sha256}, **({"read_as": notes} if notes else {})},
         block=values,
     )
-
-
-def _partner(name: str, candidates: Sequence[str], what: str) -> InputFile:
-    if name == "<stdin>":
-        raise DataError(f"{name}: an ENVI library is two files, .sli and .hdr; give the name of one of them")
-    return read_input(partner(name, candidates, what))
 
 
 def _size(header: EnviHeader) -> tuple[int, int]:

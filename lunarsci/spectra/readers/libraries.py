@@ -24,6 +24,7 @@ from lunarsci.errors import DataError
 from lunarsci.io import inputs
 from lunarsci.io.documents import json_document
 from lunarsci.io.inputs import InputFile, read_input
+from lunarsci.io.tables import MOST_CELLS
 from lunarsci.spectra.readers.arrangements import on_one_grid
 from lunarsci.spectra.readers.astropy_tables import one_line, spectrum_table
 from lunarsci.spectra.readers.columns import assign_roles
@@ -58,21 +59,15 @@ def read_relab(source: InputFile) -> SpectrumTable:
     Raises DataError when the rows are not as many as the first line says, or are not two or three numbers each.
     """
     lines, comments = split_lines(inputs.text(source))
-    if not lines or not _COUNT.fullmatch(lines[0][1]):
-        first = quoted(lines[0][1]) if lines else "nothing"
-        raise DataError(
-            f"{source.name}: no RELAB file: it begins with {first}, not the number of channels; give `format` text"
-        )
-    count = int(lines[0][1][:18])
+    first = lines[0][1] if lines else "nothing"
+    count = int(first[:18]) if _COUNT.fullmatch(first) else -1
     rows, below = _rows_and_below(lines[1:], count)
-    if count != len(rows) or not rows:
+    width = check_widths(rows, source.name) if rows else 0
+    if count != len(rows) or width not in (2, 3):
         raise DataError(
-            f"{source.name}: line {lines[0][0]} announces {count} channels and {len(rows)} rows follow (truncated "
-            "download?); fetch the file again"
+            f"{source.name}: begins with {quoted(first)} and has {len(rows)} rows of {width} numbers (truncated?); a "
+            "RELAB file begins with the number of its rows of wavelength, reflectance and standard deviation"
         )
-    width = check_widths(rows, source.name)
-    if width not in (2, 3):
-        raise DataError(f"{source.name}: {width} columns; RELAB has wavelength, reflectance and standard deviation")
     return _relab_table(source, rows, width, [*(comment for _, comment in comments if comment), *below])
 
 
@@ -144,12 +139,9 @@ def read_splib(source: InputFile) -> SpectrumTable:
 def _record(source: InputFile) -> _Record:
     lines, _ = split_lines(inputs.text(source))
     match = _SPLIB_HEADER.match(lines[0][1]) if lines else None
-    if match is None:
-        first = quoted(lines[0][1]) if lines else "nothing"
-        raise DataError(f"{source.name}: begins with {first}, not with 'splib07... Record=...'; give `format` text")
     rows = [Row(n, (line,)) for n, line in lines[1:]]
-    if not rows:
-        raise DataError(f"{source.name}: holds a header and no values (truncated download?); fetch it again")
+    if match is None or not rows:
+        raise DataError(f"{source.name}: no 'splib07... Record=...' with values below (truncated?); fetch it again")
     values = numbers(rows, 0, "reflectance", source.name)
     return _Record(match[1].lower(), match[3], values, tuple(f"line {row.line}" for row in rows))
 
@@ -158,15 +150,13 @@ def _wavelengths(source: InputFile, record: _Record) -> tuple[InputFile, _Record
     """The wavelength file that belongs to a spectrum, by set, number of channels and spectrometer."""
     family = record.family or "its spectrometer"
     wanted = f"{record.set}_Wavelengths_*.txt of {family} with {record.values.size} values"
-    if source.name == "<stdin>":
-        raise DataError(f"{source.name}: has no wavelengths and no folder to look for them; give the file's name")
-    result = [pair for pair in _candidates(source) if _fits(pair[1], record)]
-    if not result:
-        raise DataError(f"{source.name}: holds reflectance only; put {wanted} beside it or in the folder above")
-    distinct = {pair[1].values.tobytes() for pair in result}
-    if len(distinct) > 1:
+    there = [] if source.name == "<stdin>" else _candidates(source)
+    result = [pair for pair in there if _fits(pair[1], record)]
+    if len({pair[1].values.tobytes() for pair in result}) != 1:
         names = " and ".join(Path(file.name).name for file, _ in result[:2])
-        raise DataError(f"{source.name}: {names} would both fit as its wavelengths; keep the right one")
+        what = f"{names} would both fit as its wavelengths; keep the right one" if result else (
+            f"holds reflectance only; put {wanted} beside it or in the folder above")  # fmt: skip
+        raise DataError(f"{source.name}: {what}")
     return result[0]
 
 
@@ -192,8 +182,6 @@ _RECORD = re.compile(r"^##\s*([^=]*?)\s*=\s*(.*)$")
 _FORM = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[Ee][+-]?\d+)?|[@A-Ia-i%J-Rj-rS-Zs]\d*|\?")
 _SQUEEZED, _DIFFERENCE, _DUPLICATE = "@ABCDEFGHIabcdefghi", "%JKLMNOPQRjklmnopqr", "STUVWXYZs"
 """Letters for the first digit 0 to 9, then -1 to -9; of duplicates 1 to 9."""
-MOST_POINTS = 10_000_000
-"""Of a spectrum; assumed."""
 _TABULAR = ("XYDATA", "XYPOINTS")
 
 
@@ -223,7 +211,7 @@ def read_jcamp(source: InputFile) -> SpectrumTable:
                 groups.append(_spectrum(block, source.name, len(groups)))
             except DataError:
                 raise
-            except (ValueError, OverflowError) as error:
+            except (KeyError, ValueError, OverflowError) as error:
                 raise DataError(f"{source.name}: broken JCAMP-DX ({str(error)[:80]}); fetch it again") from error
     if not groups:
         raise DataError(f"{source.name}: JCAMP-DX without XYDATA or XYPOINTS; export the spectrum as one of them")
@@ -249,29 +237,22 @@ def _blocks(text: str) -> Iterator[dict[str, str]]:
 
 def _spectrum(block: dict[str, str], file: str, before: int) -> list[Column]:
     """Wavelengths and ordinates of a block."""
-    factor = [_real(block, key, file, 1.0) for key in ("XFACTOR", "YFACTOR")]
+    factor = [float(block.get(key, 1.0)) for key in ("XFACTOR", "YFACTOR")]
     title = f"spectrum of {quoted(block.get('TITLE', str(before + 1)))}"
     kind = next(one for one in _TABULAR if one in block)
     form, _, body = block[kind].partition("\n")
     if "++" in form:
         y = _ordinates(body, f"{file}: {title}") * factor[1]
-        x = np.linspace(_real(block, "FIRSTX", file), _real(block, "LASTX", file), y.size)
+        x = np.linspace(float(block["FIRSTX"]), float(block["LASTX"]), y.size)
     else:
         pairs = np.array([float(one) for one in re.findall(r"[+-]?[\d.]+(?:[Ee][+-]?\d+)?", body)])
         x, y = pairs[: pairs.size // 2 * 2].reshape(-1, 2).T * np.array(factor)[:, None]
-    announced = int(_real(block, "NPOINTS", file, y.size))
+    announced = int(float(block.get("NPOINTS", y.size)))
     if announced != y.size:
         raise DataError(f"{file}: {title} has {y.size} points, NPOINTS says {announced} (truncated?); fetch it again")
     unit = block.get("YUNITS", "")
     name = f"{block.get('TITLE', '')} [%]" if only_percent(unit) else f"{block.get('TITLE', '')} {unit}"
     return [Column(block.get("XUNITS", ""), x, 1), Column(name.strip(), y, 2 + before)]
-
-
-def _real(block: dict[str, str], key: str, file: str, other: float | None = None) -> float:
-    try:
-        return float(block[key]) if key in block or other is None else other
-    except (KeyError, ValueError):
-        raise DataError(f"{file}: JCAMP-DX without a number for {key}; export the spectrum again") from None
 
 
 def _ordinates(body: str, what: str) -> FloatArray:
@@ -287,8 +268,8 @@ def _ordinates(body: str, what: str) -> FloatArray:
         for form in forms:
             if form[0] in _DUPLICATE:
                 times = int(f"{_DUPLICATE.index(form[0]) + 1}{form[1:]}") - 1
-                if len(values) + times > MOST_POINTS:
-                    raise DataError(f"{what}: more than {MOST_POINTS} points; fetch it again")
+                if len(values) + times > MOST_CELLS:
+                    raise DataError(f"{what}: more than {MOST_CELLS} points; fetch it again")
                 values += [values[-1] + step * (k + 1) for k in range(times)] if values else []
             elif form[0] in _DIFFERENCE:
                 step, differences = _digits(form, _DIFFERENCE), True

@@ -19,45 +19,26 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, LunarSciWarning
 from lunarsci.figure import LINE_STYLES, as_label, page
 from lunarsci.io.inputs import InputFile
+from lunarsci.minerals import ABBREVIATIONS, CHEMISTRY, COMPONENTS, CONSTITUENTS, MINERALS, WORDS
 from lunarsci.provenance import plain
 from lunarsci.spectra.readers.columns import assign_roles, rows_by_id
 from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.readers.table import ReflectanceUnit, WavelengthUnit
 from lunarsci.spectra.rows import number, quoted
-from lunarsci.spectra.spectrum import Spectrum, channel_arrays
+from lunarsci.spectra.spectrum import WIDEST_GAP_NM, Spectrum, channel_arrays
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-MINERALS = ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase", "opaque", "glass", "other")
-CHEMISTRY = {
-    "olivine": ("fo",),
-    "orthopyroxene": ("fs", "en", "wo"),
-    "clinopyroxene": ("fs", "en", "wo"),
-    "plagioclase": ("an",),
-}
-"""Which components describe which mineral; the others have none."""
-_ALIASES = {
-    "ol": "olivine",
-    "opx": "orthopyroxene",
-    "lcp": "orthopyroxene",
-    "cpx": "clinopyroxene",
-    "hcp": "clinopyroxene",
-    "plg": "plagioclase",
-    "plag": "plagioclase",
-    "ilmenite": "opaque",
-    "ilm": "opaque",
-}
 
 
-def mineral_named(name: str) -> str | None:
-    """One of `MINERALS` by its name or usual abbreviation, None for a blank. Raises DataError for any other."""
+def mineral_named(name: str, where: str = "") -> str | None:
+    """One of `CONSTITUENTS` by its name or usual abbreviation, None for a blank. Raises DataError for any other."""
     word = name.strip().casefold()
     if not word:
         return None
-    result = _ALIASES.get(word, word)
-    if result not in MINERALS:
-        raise DataError(f"mineral {name!r} is not known; use one of {', '.join(MINERALS)}")
-    return result
+    if word not in WORDS:
+        raise DataError(f"{where}mineral {name!r} is not known; use one of {', '.join(CONSTITUENTS)}")
+    return WORDS[word]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +48,7 @@ class EndMember:
     Attributes
     ----------
     id : name of the spectrum, not empty.
-    mineral : one of `MINERALS`; None where nobody said.
+    mineral : one of `CONSTITUENTS` (`lunarsci/minerals.py`); None where nobody said.
     wavelength_nm : shape (n,), n >= 1, finite, above 0, strictly ascending. [nm]
     reflectance : shape (n,), finite, fraction of 1; what is not above 0 or above 1 is for `check_library` to find. [-]
     fo, fs, en, wo, an : forsterite, ferrosilite, enstatite, wollastonite, anorthite; mole fraction 0 to 1, or None. [-]
@@ -95,8 +76,8 @@ class EndMember:
     specimen: str = ""
 
     def __post_init__(self) -> None:
-        if not self.id.strip() or (self.mineral is not None and self.mineral not in MINERALS):
-            what = f"mineral {self.mineral!r}, or an empty id; minerals are {', '.join(MINERALS)}"
+        if not self.id.strip() or (self.mineral is not None and self.mineral not in CONSTITUENTS):
+            what = f"mineral {self.mineral!r}, or an empty id; minerals are {', '.join(CONSTITUENTS)}"
             raise DataError(f"{self.id}: {what}")
         wavelength, reflectance = channel_arrays(self.id, self.wavelength_nm, self.reflectance)
         if not np.isfinite(reflectance).all():
@@ -107,7 +88,7 @@ class EndMember:
 
     def _check_sample(self) -> None:
         for names, most, what in (
-            (("fo", "fs", "en", "wo", "an"), 1.0, "no mole fraction; give 0 to 1, not per cent"),
+            (COMPONENTS, 1.0, "no mole fraction; give 0 to 1, not per cent"),
             (("min_um", "max_um"), 1e9, "no grain size; give um, 0 or more"),
         ):
             for name in names:
@@ -119,13 +100,13 @@ class EndMember:
 
     def sample(self) -> dict[str, Any]:
         """Everything but the id and the spectrum, as plain values."""
-        names = ("mineral", "fo", "fs", "en", "wo", "an", "min_um", "max_um", "source")
+        names = ("mineral", *COMPONENTS, "min_um", "max_um", "source")
         result = {name: getattr(self, name) for name in names}
         return result | ({"specimen": self.specimen} if self.specimen else {})
 
 
 FORMAT = "lunarsci-library/1"
-_NUMBERS = ("fo", "fs", "en", "wo", "an", "min_um", "max_um")
+_NUMBERS = (*COMPONENTS, "min_um", "max_um")
 
 
 def read_library(
@@ -142,16 +123,13 @@ def read_library(
     """
     spectra = read_spectra(source, wavelength_unit=wavelength_unit, reflectance_unit=reflectance_unit)
     measured = [spectrum for spectrum in spectra if np.isfinite(spectrum.reflectance).any()]
-    if not measured:
-        raise DataError(f"{source.name}: none of its {len(spectra)} spectra has a reflectance; check the file")
     return [_member(spectrum, source.name) for spectrum in measured]
 
 
 def _member(spectrum: Spectrum, file: str) -> EndMember:
     header = spectrum.metadata.get("header")
-    described = header.get("end_members", {}) if isinstance(header, Mapping) else {}
-    if not isinstance(described, Mapping):
-        raise DataError(f"{file}: 'end_members' in the header is no mapping; write the library again")
+    described = header.get("end_members") if isinstance(header, Mapping) else {}
+    described = described if isinstance(described, Mapping) else {}
     column = str(spectrum.metadata.get("column", ""))
     id = column if column in described else spectrum.id
     return _in_file(spectrum, id, described.get(column, {}), file)
@@ -170,15 +148,10 @@ def end_member(spectrum: Spectrum, sample: Any, *, id: str | None = None) -> End
     Fields that are left out or None are unknown. Raises DataError for a value that is none, or a spectrum without any.
     """
     name = id or spectrum.id
-    if not isinstance(sample, Mapping):
-        raise DataError(f"{name}: its description is no mapping of names to values; write the library again")
     measured = np.isfinite(spectrum.reflectance)
-    if not measured.any():
-        raise DataError(f"{name}: has no reflectance in any channel; delete it")
-    try:
-        mineral = mineral_named(str(sample.get("mineral") or ""))
-    except DataError as error:
-        raise DataError(f"{name}: {error}") from error
+    if not isinstance(sample, Mapping) or not measured.any():
+        raise DataError(f"{name}: its description is no mapping of names to values, or no reflectance; delete it")
+    mineral = mineral_named(str(sample.get("mineral") or ""), f"{name}: ")
     notes: dict[str, Any] = {key: _number(sample.get(key), f"{name}: {key}") for key in _NUMBERS}
     notes |= {key: str(sample.get(key) or "") for key in ("source", "specimen")}
     return EndMember(name, mineral, spectrum.wavelength_nm[measured], spectrum.reflectance[measured], **notes)
@@ -218,11 +191,10 @@ def to_ecsv(members: Sequence[EndMember], provenance: Mapping[str, Any] | None =
 
 
 def _check_ids(ids: Sequence[str]) -> None:
-    if not ids:
-        raise DataError("a library needs at least one end member; none is left")
-    twice = next((id for id in ids if ids.count(id) > 1), None)
-    if twice is not None:
-        raise DataError(f"{twice}: two end members have this id; rename one of them")
+    twice = next((id for id in ids if ids.count(id) > 1), "")
+    if twice or not ids:
+        what = f"{twice}: two end members have this id; rename one" if ids else "no end member is left for the library"
+        raise DataError(what)
     for id in ids:
         with warnings.catch_warnings():
             warnings.simplefilter("error", LunarSciWarning)
@@ -240,7 +212,7 @@ MOST_NAMES = 12
 
 def library_pages(members: Sequence[EndMember]) -> "Iterator[Figure]":
     """One page; colour runs with the first component of the chemistry, grey where unknown; at most 12 are named."""
-    groups = {mineral: [m for m in members if m.mineral == mineral] for mineral in (*MINERALS, None)}
+    groups = {mineral: [m for m in members if m.mineral == mineral] for mineral in (*CONSTITUENTS, None)}
     groups = {mineral: group for mineral, group in groups.items() if group}
     columns = min(2, len(groups))
     rows = -(-len(groups) // columns)
@@ -283,8 +255,6 @@ MIXTURE = "mixture"
 """What stands for the mineral of a sample that is none."""
 PURE = 0.95
 """Share of the volume from which a sample is taken as an end member of its mineral; assumed."""
-_MODES = {"vol_ol": "olivine", "vol_opx": "orthopyroxene", "vol_cpx": "clinopyroxene", "vol_plg": "plagioclase"}
-_PREFIXES = {"orthopyroxene": "opx_", "clinopyroxene": "cpx_"}
 
 
 def read_metadata(source: InputFile) -> dict[str, dict[str, Any]]:
@@ -298,8 +268,8 @@ def read_metadata(source: InputFile) -> dict[str, dict[str, Any]]:
 
 def _description(row: Mapping[str, str], place: str) -> dict[str, Any]:
     mineral = _mineral(row, place)
-    prefix = _PREFIXES.get(mineral or "", "")
-    wanted = CHEMISTRY.get(mineral, ()) if mineral else ("fo", "fs", "en", "wo", "an")
+    prefix = f"{ABBREVIATIONS.get(mineral or '', '')}_".lower()
+    wanted = CHEMISTRY.get(mineral, ()) if mineral else COMPONENTS
     result: dict[str, Any] = {"mineral": mineral, "source": row.get("source", "")}
     for key in _NUMBERS:
         if key in wanted or key.endswith("_um"):
@@ -315,12 +285,10 @@ def _mineral(row: Mapping[str, str], place: str) -> str | None:
     if stated.casefold() == MIXTURE:
         return MIXTURE
     if stated:
-        try:
-            return mineral_named(stated)
-        except DataError as error:
-            raise DataError(f"{place}: {error}") from error
+        return mineral_named(stated, f"{place}: ")
+    columns = {f"vol_{key.lower()}": mineral for key, mineral in MINERALS.items()}
     modes = {
-        mineral: _value(row[key], f"{place}, column {key}") or 0.0 for key, mineral in _MODES.items() if key in row
+        mineral: _value(row[key], f"{place}, column {key}") or 0.0 for key, mineral in columns.items() if key in row
     }
     total = sum(modes.values())
     if not modes or total <= 0:
@@ -350,11 +318,9 @@ FEWEST_CHANNELS = 20
 HIGHEST = 1.2
 """Reflectance factors of bright powders exceed 1, hardly this; assumed."""
 SUM_TOLERANCE = 0.02
-"""Fs + En + Wo may differ from 1 by this: analyses leave out Mn, Na, Al; assumed."""
-GAP_NM, GAP_STEPS = 50.0, 5.0
-"""A step between channels is a gap if it is this wide and this many times the median step; assumed."""
-NEEDED_NM = (700.0, 2400.0)
-"""What a spectrum should cover to describe both bands; assumed."""
+"""Fs + En + Wo, or shares that are stated, may differ from 1 by this: analyses leave out Mn, Na, Al; assumed."""
+NEEDED_NM = (750.0, 2300.0)
+"""What a spectrum must reach over to be mixed, from one side of the 1 um band to the 2 um band; assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -407,7 +373,7 @@ def _chemistry_faults(member: EndMember) -> list[str]:
     wanted = CHEMISTRY.get(member.mineral or "", ())
     texts = [
         f"{key} = {getattr(member, key):g} in a mineral without it ({member.mineral}); delete it"
-        for key in ("fo", "fs", "en", "wo", "an")
+        for key in COMPONENTS
         if key not in wanted and getattr(member, key) is not None
     ]
     if "fs" in wanted:
@@ -439,5 +405,5 @@ def gaps(member: EndMember) -> list[tuple[float, float]]:
     steps = np.diff(member.wavelength_nm)
     if steps.size < 2:
         return []
-    wide = np.flatnonzero((steps > GAP_NM) & (steps > GAP_STEPS * np.median(steps)))
+    wide = np.flatnonzero(steps > WIDEST_GAP_NM)
     return [(float(member.wavelength_nm[k]), float(member.wavelength_nm[k + 1])) for k in wide]

@@ -3,6 +3,7 @@
 No library finds the marks of a file that does not name them.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -11,22 +12,21 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
-from lunarsci.arrays import NORMAL_MAD, BoolArray, FloatArray, IntArray, spans
+from lunarsci.arrays import NORMAL_MAD, SIGNIFICANCE, BoolArray, FloatArray, IntArray, spans
 from lunarsci.errors import DataError
 from lunarsci.heights.grid import far_ends
 from lunarsci.spectra.collection import SpectrumRows
 from lunarsci.spectra.noise import SECOND_DIFFERENCE
 from lunarsci.spectra.readers.table import MAX_PERCENT, SpectrumTable
+from lunarsci.spectra.spectrum import NARROW_NM
 
 DELETED_BELOW = -1e30
 """ENVI and USGS write -1.23e34 for a deleted channel (Kokaly et al. 2017, 10.3133/ds1035); no reflectance is near."""
 FAR = 9.0
 """Times the largest of the others by which a number that is none of them lies beyond it; assumed."""
-FEWEST = 10
-"""Usable channels of a spectrum that is judged at all, and numbers beside one that repeats before that marks no data
-though it could be a reflectance; assumed."""
-MOST_MARKERS = 3
-"""Different markers of a file; assumed."""
+FEWEST = 8
+"""Channels of a spectrum that is judged, or is a row of a table, and numbers beside one that repeats before that marks
+no data though it could be a reflectance; assumed."""
 _AT_ONCE = 256
 
 
@@ -41,21 +41,20 @@ def without_deleted(values: FloatArray) -> IntArray:
 def markers_of(values: FloatArray) -> list[float]:
     """Numbers of rows (n, c) that mark channels without data, e.g. 65535, -999 or 1e30; NaN is none.
 
-    An end of a row is one where it is far from all others, and repeats beside ten of them or could be no reflectance in
-    percent. Then the next, with the first left out.
+    An end of a row is one where it is far from all others, and repeats beside `FEWEST` of them or could be no
+    reflectance in percent. Then the next, with the first left out.
     """
     result, left = list[float](), values
-    for _ in range(MOST_MARKERS):
+    while True:
         parts = (left[block.start : block.stop] for block in spans(len(left), _AT_ONCE))
         new = {
             one.value for part in parts for one in far_ends(part, FAR, from_zero=True)
             if abs(one.value) > MAX_PERCENT or (one.repeats > 1 and one.others >= FEWEST)
         }  # fmt: skip
         if not new:
-            break
+            return result
         result += sorted(new)
         left = np.where(np.isin(left, result), np.nan, left)
-    return result
 
 
 def unnamed_markers(parts: Sequence[npt.NDArray[Any]], stated: Sequence[float]) -> list[float]:
@@ -80,15 +79,11 @@ def without_markers(table: SpectrumTable) -> tuple[SpectrumTable, IntArray, list
     return replace(table, block=values), count, notes
 
 
-LARGE_ERROR = 0.3
-"""Of the value, in more than half of the channels. Assumed. [-]"""
 BRIGHTEST = 1.0
 """Median reflectance factor; that of a perfectly white, diffuse surface, by definition. [-]"""
 LONE_STEP = 0.5
 """How far ln R of a single channel lies from both its neighbours, to the same side: a factor of 1.65. Assumed; no
 channel of 560 measured spectra of the Moon, of meteorites and minerals does. [-]"""
-IN_STEPS = 10.0
-"""And by how many median steps between neighbours, so that noise is not taken for single channels; assumed. [-]"""
 TOO_SMOOTH = 5.0
 """Times the scatter from channel to channel that errors are, in the median, before it is said that they cannot be
 independent; assumed. Measured: 1.2 of calibrated spectra of VNIS, 12 to 95 of means of samples with their standard
@@ -97,15 +92,12 @@ STEP_CHANNELS, STEP_SURE, LEAST_STEP = 5, 10.0, 0.01
 """Channels on either side of a step, errors by which straight lines through them miss each other, and the least ratio
 by which they do, in ln R. Assumed: none of 471 spectra of laboratories has one (7.9 at most), and steps of 3 % at
 1000 nm and -3 % at 1400 nm put into them are found in 67 and 76 %, nine in ten where channels are 5 nm apart."""
-STEP_GAP, MOST_STEPS = 3.0, 2
-"""Median channel distances that the two channels are apart at most, and steps of a spectrum; assumed, as field
-spectrometers have three detectors at most."""
+MOST_DETECTORS = 3
+"""Of a field spectrometer: Hueni & Bialek (2017), 10.1109/JSTARS.2016.2625043."""
 REMARKS = {
-    "large_error": f"spectra with errors above {LARGE_ERROR:.0%} of most values; are errors in percent, values not?",
-    "smooth": "spectra with errors 5 times their scatter from channel to channel and more, taken as independent; if "
-    "channels share them, as those of samples, name the column NAME_systematic_samples",
+    "smooth": "spectra with errors 5 times their scatter from channel to channel and more, taken as independent; are "
+    "they in percent? If channels share them, as those of samples, name the column NAME_systematic_samples",
     "bright": "spectra with a median reflectance above 1; are they in percent, or no reflectance?",
-    "constant": "spectra with the same value in all channels",
     "step": "spectra with a step between two channels, as where detectors meet, read with the channels below it scaled "
     "to those above",
 }
@@ -117,17 +109,18 @@ def unlikely(rows: SpectrumRows, file: str) -> list[str]:
     Raises DataError where every spectrum of the file is constant.
     """
     result: dict[str, list[int]] = {name: [] for name in REMARKS}
-    where = ""
+    where, constant = "", True
     for block in spans(len(rows), _AT_ONCE):
         block_rows = slice(block.start, block.stop)
         usable, values = ~rows.mask[block_rows], rows.reflectance[block_rows]
         sigma = None if rows.uncertainty is None else rows.uncertainty[block_rows]
         for name, odd in _odd(values, usable, sigma).items():
             result[name] += (block.start + np.flatnonzero(odd)).tolist()
+        constant = constant and bool((np.where(usable, values, np.nan).std(axis=1) == 0).all())
         for row, step, place in _steps(rows.wavelength_nm, values, usable):
             where = where or f" by {step:+.1%} at {place:.0f} nm"
             result["step"].append(block.start + row)
-    if len(result["constant"]) == len(rows):
+    if constant:
         raise DataError(f"{file}: the same value in all channels; give measured reflectances")
     return [
         f"{file}: {REMARKS[name]}: {len(k)}, first '{rows.ids[k[0]]}'{where if name == 'step' else ''}"
@@ -140,21 +133,13 @@ def _odd(values: FloatArray, usable: BoolArray, sigma: FloatArray | None) -> dic
     """By kind, which of n spectra are so. (n,)"""
     count = usable.sum(axis=1)
     enough = count >= FEWEST
-    with np.errstate(all="ignore"):
-        lowest = np.where(usable, values, np.inf).min(axis=1, initial=np.inf)
-        highest = np.where(usable, values, -np.inf).max(axis=1, initial=-np.inf)
-        bright = 2 * (usable & (values > BRIGHTEST)).sum(axis=1) > count
-        large = np.zeros(len(values), bool)
-        if sigma is not None:
-            large = 2 * (usable & (sigma > LARGE_ERROR * values)).sum(axis=1) > count
-    odd = {"large_error": large, "bright": bright, "constant": lowest == highest}
-    judged = {name: enough & each for name, each in odd.items()}
+    odd = {"bright": enough & (2 * (usable & (values > BRIGHTEST)).sum(axis=1) > count)}
     if sigma is not None:
         each = [(v[u], s[u]) for v, u, s in zip(values, usable, sigma, strict=True)]
-        judged["smooth"] = np.array(
+        odd["smooth"] = np.array(
             [n and 0 < TOO_SMOOTH * scatter_of(v) < np.median(s) for n, (v, s) in zip(enough, each, strict=True)], bool
         )
-    return judged
+    return odd
 
 
 def cleaned(parts: Sequence[SpectrumRows]) -> tuple[list[SpectrumRows], list[str]]:
@@ -171,12 +156,12 @@ def cleaned(parts: Sequence[SpectrumRows]) -> tuple[list[SpectrumRows], list[str
 def without_steps(rows: SpectrumRows) -> SpectrumRows:
     """The spectra with what lies below a step scaled to what lies above, as detectors are spliced.
 
-    The largest step of each, then the next, of `MOST_STEPS`.
+    The largest step of each, then the next, of as many as `MOST_DETECTORS` have.
     """
     values, scaled = rows.reflectance.copy(), dict[int, FloatArray]()
     for block in spans(len(rows), _AT_ONCE):
         block_rows = slice(block.start, block.stop)
-        for _ in range(MOST_STEPS):
+        for _ in range(MOST_DETECTORS - 1):
             for row, step, place in _steps(rows.wavelength_nm, values[block_rows], ~rows.mask[block_rows]):
                 gain = np.where(rows.wavelength_nm < place, 1.0 + step, 1.0)
                 values[block.start + row] *= gain
@@ -197,19 +182,21 @@ def without_lone(rows: SpectrumRows) -> tuple[SpectrumRows, list[int]]:
     One such channel moves a band centre by ten times its error, if it lies in the band.
     """
     mask, odd = rows.mask, list[int]()
+    gate = math.sqrt(2.0 * math.log(mask.size / SIGNIFICANCE))
     for row, usable in enumerate(~rows.mask):
-        if usable.sum() >= FEWEST and (result := _lone(rows.reflectance[row][usable])).any():
+        if usable.sum() >= FEWEST and (result := _lone(rows.reflectance[row][usable], gate)).any():
             mask = mask.copy() if not odd else mask
             mask[row, np.flatnonzero(usable)[result]] = True
             odd.append(row)
     return (replace(rows, mask=mask) if odd else rows), odd
 
 
-def _lone(values: FloatArray) -> BoolArray:
-    """Which channels lie far from both their neighbours, to the same side. (c,)"""
-    step = np.diff(np.log(values))
+def _lone(values: FloatArray, gate: float) -> BoolArray:
+    """Which channels lie far from both their neighbours, to the same side, by more than `gate` times the noise. (c,)"""
+    level = np.log(values)
+    step, noise = np.diff(level), scatter_of(level) * math.sqrt(2.0)
     least = np.minimum(np.abs(step[:-1]), np.abs(step[1:]))
-    far = least > max(LONE_STEP, IN_STEPS * float(np.median(np.abs(step))))
+    far = least > max(LONE_STEP, gate * noise)
     return np.concatenate([[False], far & (step[:-1] * step[1:] < 0), [False]])
 
 
@@ -254,7 +241,7 @@ def _step_at(place_nm: FloatArray, level: FloatArray) -> tuple[FloatArray, Float
     with np.errstate(divide="ignore", invalid="ignore"):
         sure = np.abs(step) / np.sqrt(np.maximum(variance, usual) * share)
     apart = np.diff(place_nm)
-    good = (np.abs(step) > LEAST_STEP) & (apart[edge] < STEP_GAP * float(np.median(apart)))
+    good = (np.abs(step) > LEAST_STEP) & (apart[edge] < NARROW_NM)
     return np.where(good, sure, 0.0), step
 
 

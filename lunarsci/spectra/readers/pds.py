@@ -135,12 +135,12 @@ def label_of_table(source: InputFile) -> InputFile | None:
 
 def data_file(label: str, name: str) -> str:
     """Path of a file that a label names, beside it, in whatever case. Raises DataError where there is none."""
-    if not name or Path(name).name != name:
-        raise DataError(f"{label}: names the data file {name[:60]!r}, which is no plain file name; do not trust it")
-    folder = Path(label).parent
-    result = next((one for one in folder.iterdir() if one.name.lower() == name.lower()), None)
+    plain = bool(name) and Path(name).name == name
+    beside = Path(label).parent.iterdir() if plain else ()
+    result = next((one for one in beside if one.name.lower() == name.lower()), None)
     if result is None:
-        raise DataError(f"{label}: its data file {name} is missing; put it beside the label")
+        what = f"its data file {name} is missing" if plain else f"its data file {name[:60]!r} has no plain file name"
+        raise DataError(f"{label}: {what}; put it beside the label")
     return str(result)
 
 
@@ -385,10 +385,10 @@ def _records(data: InputFile, table: TableObject) -> list[str]:
 def _binary(data: InputFile, table: TableObject) -> dict[str, Any]:
     formats = [np.dtype(one.dtype or f"S{max(one.length, 1)}") for one in table.fields]
     ends = [one.start + kind.itemsize for one, kind in zip(table.fields, formats, strict=True)]
-    if min(one.start for one in table.fields) < 0 or max(ends) > table.row_bytes:
-        raise DataError(f"{data.name}: its label has fields beyond rows of {table.row_bytes} bytes; fetch it again")
-    if len(data.data) < table.offset + table.rows * table.row_bytes or not table.rows:
-        raise DataError(f"{data.name}: {len(data.data)} bytes, its label says more (truncated?); fetch it again")
+    beyond = min(one.start for one in table.fields) < 0 or max(ends) > table.row_bytes
+    if beyond or len(data.data) < table.offset + table.rows * table.row_bytes or not table.rows:
+        what = "has fields beyond its rows" if beyond else "says more (truncated?)"
+        raise DataError(f"{data.name}: {len(data.data)} bytes, its label {what}; fetch it again")
     names = [f"f{k}" for k in range(len(formats))]
     layout: Any = {"names": names, "formats": formats, "offsets": [one.start for one in table.fields]}
     layout["itemsize"] = table.row_bytes

@@ -141,8 +141,8 @@ _PLAUSIBLE_NM = (50.0, 200_000.0)
 SURELY: dict[WavelengthUnit, tuple[float, float]] = {"nm": (200.0, 5000.0), "um": (0.2, 5.0)}
 """Values that can only be meant in that unit; assumed."""
 USUAL_SCALE = 10_000.0
-"""What reflectances in whole numbers are multiplied by where a file is silent, as ATCOR, FLAASH and HyMap products do;
-assumed."""
+"""What reflectances in whole numbers are multiplied by where a file is silent, as those of MODIS are: Vermote (2021),
+10.5067/MODIS/MOD09A1.061."""
 SCALES = {"fraction": 1.0, "percent": 0.01, "ten-thousandths": 1.0 / USUAL_SCALE}
 _REFLECTANCE = re.compile(r"r|rf|ref|refl\w*|reflex\w*|reflek\w*|r[ée]flect\w*|reff|remission|brf|hdrf|albedo")
 """Words that say reflectance."""
@@ -155,8 +155,7 @@ _MIN_PERCENT = 1.0
 """A median below this is no reflectance in percent; assumed."""
 MOST_LIKELY_PERCENT = 100.0
 """What a perfect diffuser has, by definition."""
-MAX_PERCENT = 200.0
-"""A median above this is no reflectance in percent; assumed."""
+MAX_PERCENT = 100.0 * MAX_FRACTION
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, warn
 from lunarsci.io import inputs
 from lunarsci.io.inputs import InputFile
+from lunarsci.io.tables import MOST_CELLS
 from lunarsci.spectra.readers.arrangements import (
     Lines,
     is_numeric,
@@ -51,8 +52,8 @@ OPUS = ".dpt"
 _MOST_COMMENTS = 100
 _COMMENT_LENGTH = 200
 _DIGIT = re.compile(r"[0-9]")
-MOST_UNPACKED = 1 << 28
-"""Bytes of an Excel workbook when it is unpacked; assumed."""
+MOST_UNPACKED = 8 * MOST_CELLS
+"""Bytes of an Excel workbook when it is unpacked, as many as of numbers."""
 
 
 def is_excel(source: InputFile, start: str) -> bool:

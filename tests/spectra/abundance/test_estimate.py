@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.minerals import WEIGHED
 from lunarsci.spectra.abundance.end_members import embedded_end_members
 from lunarsci.spectra.abundance.estimate import (
     GAUGE,
@@ -22,7 +23,6 @@ from lunarsci.spectra.abundance.estimate import (
     shares,
     unmix,
 )
-from lunarsci.spectra.abundance.learned import MINERALS as WEIGHED
 from lunarsci.spectra.abundance.mixing import (
     SAME_SIEVE,
     UNKNOWN_SIZE,

@@ -11,9 +11,10 @@ import pytest
 import lunarsci
 from lunarsci.errors import LunarSciWarning
 from lunarsci.io.tables import table_rows
+from lunarsci.minerals import WEIGHED
 from lunarsci.spectra.abundance.end_members import embedded_end_members
 from lunarsci.spectra.abundance.kinds import find_kinds, kinds_of_rows
-from lunarsci.spectra.abundance.learned import MINERALS, SHARES, Foretold, foretell
+from lunarsci.spectra.abundance.learned import SHARES, Foretold, foretell
 from lunarsci.spectra.abundance.shares import (
     LIKELY,
     CalibratedShares,
@@ -116,9 +117,9 @@ def test_no_stranger_is_in_domain() -> None:
 
 
 def test_pure_powders_are_in_domain_and_shares_hold_together() -> None:
-    own = [item for item in embedded_end_members(NM) if item.mineral in MINERALS][::9]
+    own = [item for item in embedded_end_members(NM) if item.mineral in WEIGHED][::9]
     found = lunarsci.unmix([Spectrum(item.id, NM, item.reflectance) for item in own])
-    right = [one.fractions[MINERALS.index(str(item.mineral))].fraction > 0.7
+    right = [one.fractions[WEIGHED.index(str(item.mineral))].fraction > 0.7
              for one, item in zip(found.shares, own, strict=True)]  # fmt: skip
     assert np.mean(right) > 0.8
     for one in found.shares:
@@ -129,7 +130,7 @@ def test_pure_powders_are_in_domain_and_shares_hold_together() -> None:
 
 
 def test_many_at_once_are_found_as_each_alone() -> None:
-    own = [item for item in embedded_end_members(NM) if item.mineral in MINERALS][::40]
+    own = [item for item in embedded_end_members(NM) if item.mineral in WEIGHED][::40]
     spectra = [Spectrum(item.id, NM, item.reflectance) for item in own]
     rows = np.array([item.reflectance for item in own])
     allowed = np.ones((len(own), 4))
@@ -269,9 +270,9 @@ def test_boulders_of_change_4_come_near_what_others_found_of_one(reference_data:
         shares = lunarsci.unmix(boulders, kind="solid-rock", prior=prior).shares
         each = np.array([[(item.fraction, item.low95, item.high95) for item in one.fractions] for one in shares])
         width[prior] = float(np.median(each[..., 2] - each[..., 1]))
-        plagioclase[prior] = float(np.median(each[:, MINERALS.index("plagioclase"), 0]))
+        plagioclase[prior] = float(np.median(each[:, WEIGHED.index("plagioclase"), 0]))
         for mineral, share in {"olivine": (0.14, 0.2, 0.3), "plagioclase": (0.48,), "orthopyroxene": (0.38,)}.items():
-            ends = each[:, MINERALS.index(mineral), 1:]
+            ends = each[:, WEIGHED.index(mineral), 1:]
             assert all(((ends[:, 0] <= own) & (own <= ends[:, 1])).mean() > 0.85 for own in share), (prior, mineral)
         ratio = [next(item for item in one.ratios if item.mineral == "orthopyroxene_in_pyroxene") for one in shares]
         assert all(item.low95 <= 0.46 <= item.high95 for item in ratio)

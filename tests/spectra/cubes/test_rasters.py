@@ -461,9 +461,9 @@ def test_packed_numbers_bad_bands_and_places_of_netcdf(tmp_path: Path) -> None:
 def test_netcdf_that_is_no_cube(tmp_path: Path, refused: Any) -> None:
     flat = tmp_path / "flat.nc"
     xarray.Dataset({"albedo": (("y", "x"), np.ones((3, 3)))}).to_netcdf(flat, engine="h5netcdf")
-    assert "no variable of lines, samples and wavelengths" in refused(flat)
+    assert "no variables of lines, samples and wavelengths" in refused(flat)
     two = netcdf(tmp_path / "two.nc", variables={"other": (("y", "x", "wavelength"), BANDS_OF_RASTERS)})
-    assert "several cubes" in refused(two)
+    assert "has 2 variables" in refused(two)
     bare = netcdf(tmp_path / "bare.nc", waves={"channel": ("wavelength", np.arange(85))})
     assert "has no wavelengths" in refused(bare)
     cut = tmp_path / "cut.nc"
@@ -510,16 +510,16 @@ def declared(path: Path, samples: int, chunks: tuple[int, int, int] = (1, 1, 100
     return str(path)
 
 
-@pytest.mark.parametrize("samples", [10_000_001, 4_000_000_000])
+@pytest.mark.parametrize("samples", [50_000_001, 4_000_000_000])
 def test_axes_of_netcdf_too_long_to_be_read_are_refused_unread(samples: int, tmp_path: Path) -> None:
     """The second would take 32 GB."""
-    with pytest.raises(DataError, match=f"'x' has {samples} numbers, too many for an axis"):
+    with pytest.raises(DataError, match=f"'x' has {samples} numbers.*, too many to be read at once"):
         open_cube(declared(tmp_path / "long.nc", samples, axis=True))
     assert open_cube(declared(tmp_path / "sound.nc", 1000, axis=True)).shape == (3, 1000)
 
 
 def test_chunks_of_netcdf_too_large_to_be_unpacked_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="'reflectance' is packed in chunks too large"):
+    with pytest.raises(DataError, match="'reflectance' has 144000000 numbers in chunks of 81600000, too many"):
         open_cube(declared(tmp_path / "chunks.nc", 6_000_000, (8, 3, 3_400_000)))
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.io.inputs import InputFile, read_input
-from lunarsci.spectra.mgm.assemblages import MINERALS
+from lunarsci.minerals import MINERALS
 from lunarsci.spectra.mgm.damping import fit_damping
 from lunarsci.spectra.mgm.fit import fit_spectra
 from lunarsci.spectra.mgm.fit_file import (

@@ -52,10 +52,13 @@ def test_correlated_modes() -> None:
 @pytest.mark.parametrize(
     ("modes", "said"),
     [
-        ({"olivine": (1.3, 0.1), "plagioclase": (0.1, 0.1)}, "olivine is .*; it must be 0 to 1"),
-        ({"olivine": (-0.1, 0.1), "plagioclase": (0.1, 0.1)}, "olivine is .*; it must be 0 to 1"),
-        ({"olivine": (float("nan"), 0.1), "plagioclase": (0.1, 0.1)}, "olivine is nan; it must be 0 to 1"),
-        ({"olivine": (0.8, 0.1), "plagioclase": (0.5, 0.1)}, "sum of the modes is 1.3; it must be above 0 to 1.1"),
+        ({"olivine": (1.3, 0.1), "plagioclase": (0.1, 0.1)}, "olivine is .*; give 0 to 1"),
+        ({"olivine": (-0.1, 0.1), "plagioclase": (0.1, 0.1)}, "olivine is .*; give 0 to 1"),
+        ({"olivine": (float("nan"), 0.1), "plagioclase": (0.1, 0.1)}, "olivine is nan; give 0 to 1"),
+        (
+            {"olivine": (0.8, 0.1), "plagioclase": (0.5, 0.1)},
+            "sum of the modes is 1.3; give .* at most 1.1",
+        ),
         ({"olivine": (0, 0.1), "plagioclase": (0, 0.1)}, "sum of the modes is 0"),
         ({"olivine": (0.8, -0.1), "plagioclase": (0.1, 0.1)}, "error of olivine"),
         ({"olivine": (0.8, 0.1)}, "olivine alone is no share"),
@@ -70,8 +73,8 @@ def test_impossible_modes_are_refused(modes: dict, said: str) -> None:
 @pytest.mark.parametrize(
     ("bands", "said"),
     [
-        ({"bc1000_nm": (0.93, 0.01)}, "it must be 700 to 1300 nm"),
-        ({"bc1000_nm": (930, 0)}, "error of bc1000_nm is 0; it must be above 0"),
+        ({"bc1000_nm": (0.93, 0.01)}, "give 700 to 1300"),
+        ({"bc1000_nm": (930, 0)}, "error of bc1000_nm is 0; give a number above 0"),
         ({"bc2000_nm": (930, 5)}, "1500 to 2600"),
         ({"bc3000_nm": (3000, 5)}, "'bc3000_nm' is no mineral or band"),
     ],
@@ -79,12 +82,6 @@ def test_impossible_modes_are_refused(modes: dict, said: str) -> None:
 def test_impossible_bands_are_refused(bands: dict, said: str) -> None:
     with pytest.raises(ParameterError, match=said):
         Composition({}, bands)
-
-
-@pytest.mark.parametrize("matrix", [np.eye(2), np.full((3, 3), np.nan), 2 * np.eye(3), np.array(3 * [[1, 2, 2]])])
-def test_impossible_correlations_are_refused(matrix: np.ndarray) -> None:
-    with pytest.raises(ParameterError, match="correlation"):
-        Composition(MODES, {}, matrix)
 
 
 def test_nothing_cannot_be_shared() -> None:
@@ -210,7 +207,7 @@ def test_two_results_of_one_rock_are_one_rock() -> None:
         ('{"schema": "lunarsci/spectra-fit/1", "result": {"spectra": []}}',
          "make shares by `lunarsci spectra unmix FILE --kind solid-rock -o shares.json`"),
         ('{"schema": "lunarsci/spectra-fit/1", "result": {"spectra": [{"nbsr": {"um2": {"opx": 1.4, "sigma": 0.1}}}]}}',
-         "orthopyroxene is 1.4; it must be 0 to 1"),
+         "orthopyroxene is 1.4; give 0 to 1"),
         ('{"schema": "lunarsci/spectra-fit/1", "result": {"spectra": [{"nbsr": {"um2": {"opx": 0.4}}}]}}',
          "error of NBSR is 0"),
         ('{"schema": "lunarsci/spectra-fit/1", "result": {"spectra": [{"nbsr": 5}]}}', "was the file edited"),

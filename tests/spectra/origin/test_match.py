@@ -14,8 +14,9 @@ import pytest
 from scipy.stats import multivariate_normal, norm
 
 from lunarsci.errors import ParameterError
+from lunarsci.minerals import WITH_BANDS
 from lunarsci.spectra.origin.catalogue import Crater, embedded_catalogue
-from lunarsci.spectra.origin.composition import MINERALS, Composition, Rock
+from lunarsci.spectra.origin.composition import Composition, Rock
 from lunarsci.spectra.origin.match import (
     OTHER,
     CompositionRows,
@@ -323,7 +324,7 @@ def test_a_map_of_rocks_is_matched_as_each_of_them() -> None:
     for number in range(12):
         known = rng.permutation(4)[: 4 - number % 3]
         shares = rng.dirichlet(np.ones(len(known)))
-        modes = {MINERALS[k]: (float(v), float(rng.uniform(0.01, 0.1))) for k, v in zip(known, shares, strict=True)}
+        modes = {WITH_BANDS[k]: (float(v), float(rng.uniform(0.01, 0.1))) for k, v in zip(known, shares, strict=True)}
         bands = {"bc1000_nm": (float(rng.uniform(900, 1000)), 6.0)} if number % 2 else {}
         factors = rng.normal(size=(len(known), 8))
         spread = np.sqrt((factors**2).sum(axis=1))
@@ -430,7 +431,7 @@ def test_units_of_the_modes_do_not_matter_only_shares_do() -> None:
     with_plagioclase = {**halved, "plagioclase": (0.5, 0.02)}
     crater = {"olivine": (0.2, 0.1), "orthopyroxene": (0.5, 0.1), "clinopyroxene": (0.3, 0.1)}
     found = compared(Composition(with_plagioclase), Composition(crater), systematic=0.1, band_systematic_nm=10)
-    assert found.minerals == MINERALS[:3]
+    assert found.minerals == WITH_BANDS[:3]
     assert found.ln_modes == pytest.approx(evidence(ROCK, crater))
 
 

@@ -209,7 +209,7 @@ def test_requests_that_cannot_be_met(tmp_path: Path) -> None:
     for wrong, ring, said in (
         ({"olivine": files["olivine"]}, (1.0, 2.0), "give two or more"),
         ({"ilmenite": "x", **files}, (1.0, 2.0), "maps of ilmenite"),
-        (files, (2.0, 1.0), "end of the ring is 1; it must be 2"),
+        (files, (2.0, 1.0), "end of the ring is 1; give a number above 2"),
     ):
         with pytest.raises(ParameterError, match=said):
             with_maps([crater(-45, 10)], wrong, ring)

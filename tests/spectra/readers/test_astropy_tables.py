@@ -119,7 +119,7 @@ def test_plain_words_for_units_are_known(read: Read, word: str) -> None:
     ("change", "reason"),
     [
         (("unit: um", "unit: nm"), "cannot be nm as the file says"),
-        (("unit: um", "unit: furlong"), "unknown unit 'furlong'"),
+        (("unit: um", "unit: furlong"), "unit 'furlong', which is no wavelength"),
         (("unit: um", "unit: kg"), "no wavelength"),
         (("basalt_sigma", "basalt"), "two columns are named 'basalt'"),
         (("0.6 30.0 3.0\n", "0.6 30"), "broken ECSV"),
@@ -149,8 +149,10 @@ def test_two_spectral_columns_without_a_name_are_refused(refuse: Refuse) -> None
     assert "both have a spectral unit" in refuse(data, "rock.ecsv")
 
 
-def test_an_ecsv_name_without_its_mark_is_refused(refuse: Refuse) -> None:
-    assert "# %ECSV" in refuse("wavelength_nm,R\n400,.1\n", "rock.ecsv")
+def test_an_ecsv_name_without_its_mark_is_text(read: Read) -> None:
+    (spectrum,) = read("wavelength_nm,R\n400,.1\n500,.2\n", "rock.ecsv")
+    assert spectrum.metadata["format"] == "text"
+    np.testing.assert_array_equal(spectrum.reflectance, [0.1, 0.2])
 
 
 WAVELENGTH = np.linspace(450, 2400, 391)
@@ -228,10 +230,10 @@ def test_an_image_is_refused(refuse: Refuse) -> None:
 @pytest.mark.parametrize(
     ("columns", "reason"),
     [
-        ({"wavelength_nm": np.eye(3)[:2], "rock": np.zeros((2, 3))}, "2 rows with wavelengths of their own"),
-        ({"dark": np.zeros((2, 3)), "rock": np.zeros((2, 3))}, "2 rows of vector cells without wavelengths"),
+        ({"wavelength_nm": np.eye(3)[:2], "rock": np.zeros((2, 3))}, "2 rows of vectors without common wavelengths"),
+        ({"dark": np.zeros((2, 3)), "rock": np.zeros((2, 3))}, "2 rows of vectors without common wavelengths"),
         ({"wavelength_nm": np.zeros((1, 3)), "rock": np.zeros((1, 4))}, "differ in shape"),
-        ({"wavelength_nm": np.zeros((1, 3, 2)), "rock": np.zeros((1, 3, 2))}, "more dimensions"),
+        ({"wavelength_nm": np.zeros((1, 3, 2)), "rock": np.zeros((1, 3, 2))}, "does not hold one number a row"),
         ({"note": ["a", "b"], "other": ["c", "d"]}, "no reflectance column"),
     ],
 )

@@ -41,7 +41,7 @@ def test_zero_deviations_mean_unknown_without_a_word(read: Read) -> None:
 @pytest.mark.parametrize("count", ["4", "2", "0", "9" * 30])
 def test_a_count_that_lies_is_refused(refuse: Refuse, count: str) -> None:
     message = refuse(THREE.replace("3", count, 1), "a.tab")
-    assert "3 rows follow (truncated download?)" in message
+    assert "has 3 rows of 3 numbers (truncated?)" in message
 
 
 def test_a_cut_row_is_named(refuse: Refuse) -> None:
@@ -49,7 +49,7 @@ def test_a_cut_row_is_named(refuse: Refuse) -> None:
 
 
 def test_a_count_alone_is_truncated(refuse: Refuse) -> None:
-    assert "announces 401 channels and 0 rows" in refuse("401\n", "a.asc")
+    assert "begins with '401' and has 0 rows" in refuse("401\n", "a.asc")
 
 
 def test_a_bad_number_is_named(refuse: Refuse) -> None:
@@ -57,7 +57,7 @@ def test_a_bad_number_is_named(refuse: Refuse) -> None:
 
 
 def test_four_columns_are_refused(refuse: Refuse) -> None:
-    assert "4 columns" in refuse("2\n300 1 2 3\n400 1 2 3\n", "a.asc")
+    assert "2 rows of 4 numbers" in refuse("2\n300 1 2 3\n400 1 2 3\n", "a.asc")
 
 
 def test_a_table_with_names_in_a_tab_file_is_text(read: Read) -> None:
@@ -67,7 +67,7 @@ def test_a_table_with_names_in_a_tab_file_is_text(read: Read) -> None:
 
 
 def test_forcing_the_format_on_another_file_is_refused(refuse: Refuse) -> None:
-    assert "not the number of channels" in refuse("wavelength_nm,R\n400,.1\n", format="relab")
+    assert "begins with the number of its rows" in refuse("wavelength_nm,R\n400,.1\n", format="relab")
 
 
 SPECTRUM = " splib07a Record=5932: Olivine GDS70.a Fo89          BECKb AREF\n"
@@ -140,7 +140,7 @@ def test_the_same_wavelengths_twice_are_no_question(chapter: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (SPECTRUM, "a header and no values"),
+        (SPECTRUM, "with values below (truncated?)"),
         (SPECTRUM + ".1\nbright\n.3\n.4\n", "line 3, column reflectance: 'bright' is not a number"),
         (SPECTRUM + ".1 .2\n", "is not a number"),
         (BECK, "not a spectrum"),
@@ -151,12 +151,12 @@ def test_files_that_are_no_spectra(chapter: Path, text: str, message: str) -> No
 
 
 def test_standard_input_has_no_folder() -> None:
-    with pytest.raises(DataError, match="give the file's name"):
+    with pytest.raises(DataError, match="holds reflectance only"):
         read_spectra(InputFile("<stdin>", (SPECTRUM + ".1\n.2\n").encode()))
 
 
 def test_a_stated_format_on_another_file() -> None:
-    with pytest.raises(DataError, match="not with 'splib07"):
+    with pytest.raises(DataError, match="no 'splib07"):
         read_spectra(InputFile("a.txt", b"1 2\n3 4\n"), format="splib")
 
 

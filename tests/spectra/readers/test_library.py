@@ -91,7 +91,7 @@ def test_an_id_that_would_be_read_as_something_else_is_refused(id: str) -> None:
 def test_two_of_one_id_and_none_at_all_are_refused() -> None:
     with pytest.raises(DataError, match="two end members have this id"):
         to_ecsv([OLIVINE, OLIVINE])
-    with pytest.raises(DataError, match="at least one"):
+    with pytest.raises(DataError, match="no end member is left"):
         to_ecsv([])
 
 
@@ -125,13 +125,11 @@ def test_a_wrong_description_is_one_line_with_file_and_id(old: str, new: str, me
 
 def test_descriptions_that_are_no_mapping_are_refused() -> None:
     table = Table({"wavelength_nm": [500.0, 600.0], "a": [0.1, 0.2]})
-    for meta in ({"end_members": ["a"]}, {"end_members": {"a": "olivine"}}):
-        table.meta.clear()
-        table.meta.update(meta)
-        buffer = io.StringIO()
-        table.write(buffer, format="ascii.ecsv")
-        with pytest.raises(DataError, match=r"^lib.ecsv: .*is no mapping"):
-            read_library(InputFile("lib.ecsv", buffer.getvalue().encode()))
+    table.meta.update({"end_members": {"a": "olivine"}})
+    buffer = io.StringIO()
+    table.write(buffer, format="ascii.ecsv")
+    with pytest.raises(DataError, match=r"^lib.ecsv: .*is no mapping"):
+        read_library(InputFile("lib.ecsv", buffer.getvalue().encode()))
 
 
 @pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")
@@ -267,7 +265,7 @@ def test_what_must_be_mended(member: EndMember, word: str) -> None:
     [
         ({"max_um": None}, "grain size unknown"),
         ({"fs": None, "en": None, "wo": None}, "no fs, no en, no wo: composition unknown"),
-        ({"wavelength_nm": GRID + 300}, "covers 750-2750 nm"),
+        ({"wavelength_nm": GRID + 310}, "covers 760-2760 nm"),
         ({"wavelength_nm": np.where(GRID > 1000, GRID + 100, GRID)}, "gap of 105 nm after 1000 nm"),
     ],
 )
