@@ -20,16 +20,42 @@ from lunarsci.twin.plans.path import RAMP_COUNTS_S, RAMP_S, Schedule, commands_a
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact import VALID_SLIP
+from lunarsci.twin.simulation.prescribed_motion import PrescribedLoads
+from lunarsci.twin.telemetry.hypotheses import LN_ODDS, chance_by_noise, held
 from lunarsci.twin.telemetry.nodes import Rows
-from lunarsci.twin.telemetry.reading import STILL, SURE, Findings, Telemetry, held
-from lunarsci.twin.telemetry.wheel_motion import PACE, UNDER_WAY, mean_speed
+from lunarsci.twin.telemetry.reading import LEAST_ROW_M, STILL, SURE, UNDER_WAY, Findings, Positions, Telemetry
+from lunarsci.twin.telemetry.wheel_motion import PACE, mean_speed
 
 LEAST_ROWS = 5
 FAST = "fast slip"
 """Kind of a finding."""
-LEAST_ROW_M = 0.3
-"""Way between rows of states where positions are denser, and within which standstills are one halt, assumed: a rover's
-slip does not change faster. [m]"""
+OFF_DEG, STEERED_DEG = 5.0, 0.5
+"""Difference of measured and commanded steering that no motor on its way makes, and standard error of one from the
+other; assumed. [deg]"""
+FEWEST_RATES = 5
+AGAINST_PLAN = "wheels against plan"
+"""Kind of the finding; a soil is found with a plan of its own, so that it does not stay with the states."""
+STEERING_DEG, SPEED_SHARE = 2.0, 0.25
+"""How far a row's commands may be off the plan's: steering, and rim speed as a share of the mean of the rims;
+assumed."""
+SOME, MOST, COVERED = 0.01, 0.4, 0.6
+"""Share of the way that may be off unsaid; beyond which it is another plan; and that must lie within the plan;
+assumed."""
+STEP_M, MOST_TRIED = 0.05, 500
+"""Step between the ways tried, by which the way differs where the plan is right, and number of them, and of rows;
+assumed. [m]"""
+HALT = "unplanned halt"
+"""Kind of a finding: states are right, and a soil learned with the plan is not."""
+START_M, HEADING_DEG = 0.5, 10.0
+"""How far the first position and heading may be from the plan's start; assumed. [m, deg]"""
+EDGE_S = 5.0
+"""How much of a plan may be missing at its ends, and a halt be longer than planned, unsaid, and how long a rover may
+take to steer to its first leg without doubt; assumed. [s]"""
+STOP_COSTS_S = 2.0 * (RAMP_S - RAMP_COUNTS_S)
+"""What slowing down and speeding up again cost, beside the halt itself, by the ramps of a schedule. [s]"""
+ATTITUDE_DEG, FOLLOWS, MOUNTED_DEG = 1.5, 0.6, 3.0
+"""Median difference of roll or pitch from the terrain's beyond which it is said [deg], or as a share of its slope where
+that is more; and by how much their sensor may be turned on the rover [deg]; assumed."""
 
 
 def taken(telemetry: Telemetry, rows: IndexArray | BoolArray) -> Telemetry:
@@ -103,11 +129,6 @@ def time_gaps(telemetry: Telemetry, findings: Findings) -> BoolArray:
     return gaps
 
 
-OFF_DEG, STEERED_DEG = 5.0, 0.5
-"""Difference of measured and commanded steering that no motor on its way makes, and standard error of one from the
-other; assumed. [deg]"""
-
-
 def steering_angles(telemetry: Telemetry, rover: Rover, findings: Findings) -> tuple[FloatArray, BoolArray]:
     """Steering of every row and wheel, and where it is known, not found from the rows beside. (n, wheels) [deg]
 
@@ -153,11 +174,6 @@ def _mend(
         done = "the command is taken there" if mended else "the measured angle is taken"
         findings.of_rows(kind, what, done, rows, telemetry.time_s, doubt=not mended)
         measured[rows & mended, k] = commanded[rows & mended, k]
-
-
-FEWEST_RATES = 5
-AGAINST_PLAN = "wheels against plan"
-"""Kind of the finding; a soil is found with a plan of its own, so that it does not stay with the states."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
@@ -283,28 +299,6 @@ def check_slips(slip: FloatArray, measured: BoolArray, time_s: FloatArray, findi
     findings.of_rows(FAST, what, done, fast, time_s)
 
 
-STEERING_DEG, SPEED_SHARE = 2.0, 0.25
-"""How far a row's commands may be off the plan's: steering, and rim speed as a share of the mean of the rims;
-assumed."""
-LN_OFF_M, LN_OFFSET = -16.0, -7.0
-"""ln of the odds of a metre of way with other commands, and of another clock; assumed."""
-SOME, MOST, COVERED = 0.01, 0.4, 0.6
-"""Share of the way that may be off unsaid; beyond which it is another plan; and that must lie within the plan;
-assumed."""
-STEP_M, MOST_TRIED = 0.05, 500
-"""Step between the ways tried, by which the way differs where the plan is right, and number of them, and of rows;
-assumed. [m]"""
-HALT = "unplanned halt"
-"""Kind of a finding: states are right, and a soil learned with the plan is not."""
-START_M, HEADING_DEG = 0.5, 10.0
-"""How far the first position and heading may be from the plan's start; assumed. [m, deg]"""
-EDGE_S = 5.0
-"""How much of a plan may be missing at its ends, and a halt be longer than planned, unsaid, and how long a rover may
-take to steer to its first leg without doubt; assumed. [s]"""
-STOP_COSTS_S = 2.0 * (RAMP_S - RAMP_COUNTS_S)
-"""What slowing down and speeding up again cost, beside the halt itself, by the ramps of a schedule. [s]"""
-
-
 def by_the_plan(sent: Rows, rover: Rover, schedule: Schedule, findings: Findings) -> tuple[Rows, bool, float]:
     """Telemetry by the clock of a plan; whether its commands are the plan's, and how much longer it stood still. [s]
 
@@ -428,7 +422,7 @@ class _Beside:
             one = sent._replace(way_m=sent.way_m / scale)
             by_clock = begin - float(one.way_m[0])
             tried.append((self._ln_of(one, by_clock), one, by_clock, faster))
-        if max(ln for ln, *_ in tried) < LN_OFFSET:
+        if max(ln for ln, *_ in tried) < LN_ODDS["clock offset"]:
             for _, one, _, faster in tuple(tried):
                 last = float(one.way_m[-1])
                 step = max(STEP_M, (last + end) / MOST_TRIED)
@@ -439,7 +433,7 @@ class _Beside:
                     # Of offsets that are as good the plan's begin, else the middle one.
                     ln, alike = float(values.max()), np.sort(near[values == values.max()])
                     offset_m = 0.0 if (alike == 0.0).any() else float(alike[len(alike) // 2])
-                tried.append((ln + LN_OFFSET, one, offset_m, faster))
+                tried.append((ln + LN_ODDS["clock offset"], one, offset_m, faster))
         _, self.sent, self.offset_m, faster = max(tried, key=lambda one: one[0])
         way, length = self.sent.way_m, np.gradient(self.sent.way_m)
         self.off, self.inside = self._compared(self.sent, self.offset_m)
@@ -473,7 +467,7 @@ class _Beside:
         steps = np.gradient(sent.way_m)[some] * len(sent.way_m) / len(off)
         # Of the way in one, the part that is not in the other is as wrong as other commands are.
         missed = max(self.plan.way_m[-1] - steps[inside].sum(), 0.0)
-        return LN_OFF_M * float(steps[off.any(axis=1) | ~inside].sum() + missed)
+        return LN_ODDS["commands"] * float(steps[off.any(axis=1) | ~inside].sum() + missed)
 
     def _compared(self, sent: _AlongWay, offset_m: float, rows: slice = slice(None)) -> tuple[BoolArray, BoolArray]:
         """Rows and wheels whose command is not that of the plan, nor just before or behind; rows within the plan."""
@@ -567,3 +561,129 @@ def _say_commands(beside: _Beside, findings: Findings) -> bool:
     )
     findings.add("other commands", text, done, count=len(rows), time_s=float(sent.time_s[rows[0]]), doubt=doubt)
     return doubt
+
+
+def with_positions(telemetry: Telemetry, positions: Positions, file: str, findings: Findings) -> Telemetry:
+    """Telemetry with positions from elsewhere in place of its own, in rows at their times.
+
+    Between rows wheels, headings and attitude are taken to change evenly. Positions that are a gap or more before or
+    after the telemetry are left out and said. `file` is where they come from.
+    """
+    telemetry = ordered(telemetry, findings)
+    times = telemetry.time_s
+    reach = GAP * float(np.median(np.diff(times)))
+    good = (positions.time_s >= times[0] - reach) & (positions.time_s <= times[-1] + reach)
+    if not good.all():
+        what = f"{(~good).sum()} of {len(good)} positions of {file} are not within the times of the telemetry"
+        findings.add("positions at other times", what, "they are left out", count=int((~good).sum()), doubt=True)
+    at = np.clip(positions.time_s[good], times[0], times[-1])
+    merged = np.union1d(times, at)
+    columns: dict[str, Any] = {
+        item.name: _between(merged, times, value)
+        for item in dataclasses.fields(telemetry)
+        if isinstance(value := getattr(telemetry, item.name), np.ndarray)
+    }
+    rows = np.searchsorted(merged, at)
+    columns["fix_m"] = np.full((len(merged), 2), np.nan)
+    columns["fix_covariance_m2"] = np.full((len(merged), 2, 2), np.nan)
+    columns["fix_m"][rows], columns["fix_covariance_m2"][rows] = positions.place_m[good], positions.covariance_m2[good]
+    if positions.shared_m2 is not None:
+        shared = positions.shared_m2 * np.append(False, good[:-1])[:, None, None]
+        columns["fix_shared_m2"] = np.zeros((len(merged), 2, 2))
+        columns["fix_shared_m2"][rows] = shared[good]
+    return dataclasses.replace(telemetry, **columns)
+
+
+def _between(merged: FloatArray, times: FloatArray, values: FloatArray) -> FloatArray:
+    """Values (n, ...) at more times: linear between two that are known and no half turn apart, else blank."""
+    flat = values.reshape(len(times), -1)
+    low = np.clip(np.searchsorted(times, merged, side="right") - 1, 0, len(times) - 1)
+    high = np.minimum(low + (times[low] < merged), len(times) - 1)
+    share = (merged - times[low]) / np.where(high > low, times[high] - times[low], 1.0)
+    step = flat[high] - flat[low]
+    step[np.abs(step) > 180.0] = np.nan
+    result = np.where((high > low)[:, None], flat[low] + share[:, None] * step, flat[low])
+    return np.asarray(result.reshape(len(merged), *values.shape[1:]))
+
+
+def usable_positions(telemetry: Telemetry, way_m: FloatArray, findings: Findings) -> Telemetry:
+    """Positions without those that have no proper covariance or only repeat the one before.
+
+    `way_m` is the way of the rims until each row. (n,) Raises DataError where fewer than two are left.
+    """
+    given, value = telemetry.fixed, telemetry.fix_covariance_m2
+    complete: BoolArray = np.asarray(np.isfinite(value).all(axis=(1, 2)))
+    least: FloatArray = np.linalg.eigvalsh(np.where(complete[:, None, None], value, -np.eye(2)))[:, 0]
+    bad = np.asarray(given & (least <= 0))
+    _leave(findings, "bad covariance", "errors that are missing, 0, negative, or no covariance", bad, telemetry)
+    rows, same = np.flatnonzero(given & ~bad), np.zeros(len(given), dtype=bool)
+    if rows.size:
+        place, sigma = telemetry.fix_m[rows], float(np.median(np.sqrt(np.trace(value[rows], axis1=1, axis2=2) / 2.0)))
+        same[rows] = held(place, chance_by_noise(place, sigma) ** 2, way_m[rows], np.sqrt(2.0) * sigma)
+    what = "it repeats the one before to the last digit: sent again, or the sensor hangs"
+    _leave(findings, "repeated position", what, same, telemetry)
+    used = given & ~bad & ~same
+    if used.sum() < 2:
+        raise DataError(
+            f"{telemetry.file}: {int(used.sum())} positions of use among {int(given.sum())} ({int(bad.sum())} have "
+            f"errors that are no covariance, {int(same.sum())} repeat another); slip needs two or more"
+        )
+    check_far(np.flatnonzero(used), telemetry, way_m, findings)
+    shared = telemetry.fix_shared_m2
+    if shared is not None:
+        before = np.flatnonzero(given)
+        shared = shared.copy()
+        shared[before[1:][~used[before[:-1]]]] = 0.0
+    return dataclasses.replace(telemetry, fix_m=np.where(used[:, None], telemetry.fix_m, np.nan), fix_shared_m2=shared)
+
+
+def _leave(findings: Findings, kind: str, what: str, rows: BoolArray, telemetry: Telemetry) -> None:
+    findings.of_rows(kind, what, f"these {kind.split()[-1]}s are left out", rows, telemetry.time_s)
+
+
+def usable_headings(telemetry: Telemetry, turned_deg: FloatArray, findings: Findings) -> Telemetry:
+    """Headings without full turns between rows, and without those that only repeat the one before.
+
+    `turned_deg` is the turn that the wheels say until each row. (n,) Raises DataError where fewer than two are left.
+    """
+    yaw, sigma = telemetry.yaw_deg.copy(), telemetry.yaw_deg_sigma
+    given = np.isfinite(yaw)
+    blank = given & ~(sigma > 0)
+    rows, same = np.flatnonzero(given & ~blank), np.zeros(len(yaw), dtype=bool)
+    if rows.size:
+        error = float(np.median(sigma[rows]))
+        same[rows] = held(yaw[rows], chance_by_noise(yaw[rows], error), turned_deg[rows], np.sqrt(2.0) * error)
+    what = "yaw_deg repeats the one before to the last digit: sent again, or the sensor hangs"
+    _leave(findings, "heading error", "yaw_deg_sigma is missing, 0 or negative", blank, telemetry)
+    _leave(findings, "repeated heading", what, same, telemetry)
+    yaw[blank | same] = np.nan
+    rows = np.flatnonzero(np.isfinite(yaw))
+    if rows.size < 2:
+        raise DataError(f"{telemetry.file}: {rows.size} headings of use; side slip needs yaw_deg")
+    findings.of_rows("missing headings", "rows without yaw_deg", "found from the others", ~given, telemetry.time_s)
+    yaw[rows] = np.degrees(np.unwrap(np.radians(yaw[rows])))
+    return dataclasses.replace(telemetry, yaw_deg=yaw)
+
+
+def check_attitude(telemetry: Telemetry, held: PrescribedLoads, rows: IndexArray, findings: Findings) -> None:
+    """Roll and pitch are those of a rover that stands on this terrain; all alike off is their sensor's mounting."""
+    for column, name in ((3, "roll_deg"), (4, "pitch_deg")):
+        measured, stood = getattr(telemetry, name)[rows], held.paths[:, column]
+        given = np.isfinite(measured) & np.isfinite(stood)
+        if given.sum() < 5:
+            continue
+        a, b = measured[given], stood[given]
+
+        def off(values: FloatArray, wanted: FloatArray = b) -> float:
+            return float(np.median(np.abs(values - wanted)))
+
+        if off(a) <= max(ATTITUDE_DEG, FOLLOWS * off(b, np.zeros(1))):
+            continue
+        mounted = float(np.median(a - b))
+        turned = abs(mounted) < MOUNTED_DEG and off(a - mounted) < 0.5 * ATTITUDE_DEG
+        hint = "; it has the other sign" if off(-a) < 0.4 * off(a) else ""
+        hint = "; it looks like rad" if off(np.degrees(a)) < 0.4 * off(a) else hint
+        cause = f"its sensor is turned by {mounted:.2g} deg" if turned else "another terrain, frame or sign"
+        what = f"{name} is {off(a):.3g} deg off the terrain's in the median{hint}: {cause}"
+        done = "the terrain's is taken"
+        findings.add("attitude against terrain", what, done, count=int(given.sum()), doubt=not turned)

@@ -147,6 +147,12 @@ class Nodes:
         return len(CONSTANTS) + 2 * len(self.slides)
 
 
+def onto_map(yaw_rad: FloatArray, ahead: FloatArray | float, left: FloatArray | float) -> FloatArray:
+    """A way ahead and to the left in x and y. (n, 2)"""
+    cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
+    return np.column_stack([cos * ahead - sin * left, sin * ahead + cos * left])
+
+
 def at_nodes(between: FloatArray) -> FloatArray:
     """Means at nodes of what is known between them. (n - 1, ...) to (n, ...)"""
     return np.asarray(0.5 * (np.concatenate([between[:1], between]) + np.concatenate([between, between[-1:]])))
@@ -160,11 +166,9 @@ def dead_reckoned(nodes: Nodes) -> FloatArray:
     given = np.isfinite(nodes.yaw_rad)
     off = np.interp(nodes.time_s, nodes.time_s[given], (nodes.yaw_rad - turned)[given]) if given.any() else 0.0
     yaw = turned + off
-    middle = 0.5 * (yaw[1:] + yaw[:-1])
-    ahead, left = nodes.twist[:, 0] * steps, nodes.twist[:, 1] * steps
+    ways = onto_map(0.5 * (yaw[1:] + yaw[:-1]), *(nodes.twist[:, :2] * steps[:, None]).T)
     state = np.zeros((count, SIZE))
-    state[1:, 0] = np.cumsum(np.cos(middle) * ahead - np.sin(middle) * left)
-    state[1:, 1] = np.cumsum(np.sin(middle) * ahead + np.cos(middle) * left)
+    state[1:, :2] = np.cumsum(ways, axis=0)
     state[:, 2] = yaw
     first = int(np.argmax(nodes.fixed))
     state[:, :2] += nodes.fix_m[first] - state[first, :2]
@@ -284,7 +288,7 @@ def linearised(nodes: Nodes, reference: ReferenceMotion) -> Linear:
     pose = onto @ parts
     pose[:, [0, 1, 2], [0, 1, 2]] += 1.0
     pose[:, :2, 2] += by_turn
-    moved = np.column_stack([cos * full[:, 0] - sin * full[:, 1], sin * full[:, 0] + cos * full[:, 1], full[:, 2]])
+    moved = np.column_stack([onto_map(middle, full[:, 0], full[:, 1]), full[:, 2]])
     inputs = onto @ added
     shift = before[:, :3] + moved - np.einsum("nij,nj->ni", pose, before) - inputs @ constants
     return Linear(pose, inputs, shift, *_measured(nodes, reference, moved))
@@ -299,7 +303,7 @@ def _measured(nodes: Nodes, reference: ReferenceMotion, moved: FloatArray) -> tu
     back, rate = _put_back(nodes, moved, float(constants[LAG]))
     turned = state[:, 2] + back[:, 2]
     cos, sin = np.cos(turned), np.sin(turned)
-    arm = np.column_stack([cos * constants[9] - sin * constants[10], sin * constants[9] + cos * constants[10]])
+    arm = onto_map(turned, *constants[LEVER])
     count = len(state)
     seen, by = np.zeros((count, 3, SIZE)), np.zeros((count, 3, nodes.constants))
     seen[:, [0, 1, 2], [0, 1, 2]] = 1.0

@@ -14,8 +14,9 @@ from lunarsci.twin.plans.path import CREEP_M_S
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.prescribed_motion import PrescribedLoads
 from lunarsci.twin.telemetry.filter import EFFECTS, SCALE, ErrorChain, Nodes, ReferenceMotion, at_nodes
+from lunarsci.twin.telemetry.hypotheses import Priors
 from lunarsci.twin.telemetry.reading import OBEYED, STILL, Telemetry
-from lunarsci.twin.telemetry.smoother import Priors, Smoothed, believed_change, probable
+from lunarsci.twin.telemetry.smoother import Smoothed, believed_change, probable
 from lunarsci.twin.telemetry.wheel_motion import (
     ON_THE_SPOT,
     WheelMotion,
@@ -38,6 +39,12 @@ slips by 0.01 of their errors at most, as measured by `tests/benchmarks/telemetr
 AGREEMENT, LEAST_EFFECT = 0.4, 0.1
 """How well, in ln, the stiffness and the coefficients of slip and side slip agree, and the least of these; half or
 twice as much moves slips by 0.07 of their errors at most, as measured."""
+MEASURED = ("fix_m", "fix_covariance_m2", "fix_shared_m2", "yaw_deg", "yaw_deg_sigma", "roll_deg", "pitch_deg")
+"""Columns of `Telemetry` that are by the clock of the positions."""
+SLIP_FLOOR, SIDE_SLIP_FLOOR_DEG = 0.001, 0.08
+"""What is left where all sensors are all but perfect, measured: 0.0005 to 0.0009 and 0.04 to 0.06 deg on six made-up
+drives over ground of 0 to 5 mm roughness; the steering's own error of 0.1 deg, of which a few rows are averaged, adds
+0.06 deg."""
 
 
 def turning(rim_m_s: FloatArray) -> BoolArray:
@@ -52,10 +59,6 @@ class Rows(NamedTuple):
     wheels: WheelMotion
     steering_rad: FloatArray
     gaps: BoolArray
-
-
-MEASURED = ("fix_m", "fix_covariance_m2", "fix_shared_m2", "yaw_deg", "yaw_deg_sigma", "roll_deg", "pitch_deg")
-"""Columns of `Telemetry` that are by the clock of the positions."""
 
 
 def _at_times(rows: Rows, times: FloatArray, measured_s: FloatArray) -> Rows:
@@ -290,12 +293,6 @@ def twist_at(nodes: Nodes, smoothed: Smoothed) -> FloatArray:
     """Velocity ahead, to the left, and turn at the nodes. (n, 3) [m/s, m/s, rad/s]"""
     scale = 1.0 + smoothed.posterior.mean[SCALE]
     return np.asarray(scale * at_nodes(nodes.twist) + pace_at(nodes)[:, None] * smoothed.deviation)
-
-
-SLIP_FLOOR, SIDE_SLIP_FLOOR_DEG = 0.001, 0.08
-"""What is left where all sensors are all but perfect, measured: 0.0005 to 0.0009 and 0.04 to 0.06 deg on six made-up
-drives over ground of 0 to 5 mm roughness; the steering's own error of 0.1 deg, of which a few rows are averaged, adds
-0.06 deg."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -57,6 +57,54 @@ UNITS = {
 }
 """What names may end in: the unit that is meant, and those that are read as well with their size in it."""
 UNIT = re.compile(rf"_({'|'.join([*UNITS, *(unit for others in UNITS.values() for unit in others)])})(?=$|_sigma$)")
+PLACES = ("x_m", "y_m", *ERRORS, "sigma_m")
+OF_A_WHEEL = (("angle_{}_deg", "rate_{}_deg_s", "speed_{}_m_s"), ("steered_{}_deg", "steering_{}_deg"))
+"""Of each of these every wheel needs one: how it turned, and how it was steered."""
+_ENDS = {"f": "F", "front": "F", "m": "M", "mid": "M", "middle": "M", "center": "M", "centre": "M"}
+_SIDES = {"l": "L", "left": "L", "r": "R", "right": "R"}
+_COVARIANCES = {"0": "xx_m2", "1": "xy_m2", "7": "yy_m2", "35": "yaw_variance"}
+_STAMPS = {"time", "__time", "timestamp", "stamp", "rosbagtimestamp"}
+_STEERS = re.compile(r"steer|corner|azimuth", re.IGNORECASE)
+STAMP_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
+"""Stamps from these on are in these units of s: the clock began in 1970 and stands below 1e10 s. [-, s]"""
+OBEYED = 0.2
+"""Standard error of a turn, an angle or a way that commands or other columns say, as a share of it; assumed."""
+BLOCK = 256
+"""Rows of a block: half a minute at 10 Hz. States are those of all rows."""
+STILL = 0.05
+"""Share of the usual or the highest rim speed below which a wheel stands; assumed."""
+TURNED_DEG = 3.0
+"""Turn of a wheel up to which it stands: 8 mm of way; assumed. [deg]"""
+SURE = 3.0
+"""Standard errors from which on a difference is none of chance, which reaches them once in 370. [-]"""
+MOST_ROWS = 500_000
+"""That are kept: 14 hours at 10 Hz of a rover that does not rest. `tests/benchmarks/load.py` tells their memory."""
+Columns = dict[str, FloatArray]
+SPELLED = {"deg_s": "deg/s", "rpm": "cycle/min", "turns": "cycle", "m2": "m2", "cm2": "cm2", "mm2": "mm2"}
+"""Units that astropy spells otherwise than names of columns do."""
+POSE_COLUMNS = ("yaw_deg", "yaw_deg_sigma", "roll_deg", "pitch_deg")
+WHEEL_COLUMNS = {
+    "speed_m_s": "speed_{}_m_s",
+    "steering_deg": "steering_{}_deg",
+    "angle_deg": "angle_{}_deg",
+    "rate_deg_s": "rate_{}_deg_s",
+    "steered_deg": "steered_{}_deg",
+}
+"""Commanded rim speed and steering; measured angle since some start, rate and steering. Name to column of a wheel."""
+DATE = re.compile(r"\s*\d{4}-\d\d?-\d\d?|\s*\d\d?:\d\d|\s*\d\d?[./]\d\d?[./]\d{2,4}")
+SYNTHETIC = ("true", "1", "1.0")
+YAW_SIGMA_DEG, POSITION_SIGMA_M = 0.3, 0.02
+"""Error of a heading, and of a position, whose error is not given; assumed. [deg, m]"""
+SHARED = ("xx_before_m2", "xy_before_m2", "yx_before_m2", "yy_before_m2")
+"""Covariance of x and y of a position with x and y of the one in the row before."""
+POSITION_COLUMNS = ("time_s", "x_m", "y_m", "z_m", "yaw_deg", "sigma_m", *ERRORS, *SHARED, "synthetic")
+SIGMA_DEG, RATE_SHARE = 1.0, 0.1
+"""Standard errors of turns between rows, of all [deg] and of rates as a share; assumed. Of commands it is `OBEYED`."""
+UNDER_WAY = 0.3
+"""Share of the highest speed from which a wheel counts as under way; assumed."""
+LEAST_ROW_M = 0.3
+"""Way between rows of states where positions are denser, and within which standstills are one halt, assumed: a rover's
+slip does not change faster. [m]"""
 
 
 def named_columns(names: list[str]) -> dict[str, tuple[str, float]]:
@@ -72,11 +120,6 @@ def named_columns(names: list[str]) -> dict[str, tuple[str, float]]:
                     meant = f"{name[: match.start()]}_{unit}{name[match.end() :]}"
                     columns.setdefault(meant, (name, others[match[1]]))
     return columns
-
-
-PLACES = ("x_m", "y_m", *ERRORS, "sigma_m")
-OF_A_WHEEL = (("angle_{}_deg", "rate_{}_deg_s", "speed_{}_m_s"), ("steered_{}_deg", "steering_{}_deg"))
-"""Of each of these every wheel needs one: how it turned, and how it was steered."""
 
 
 def check_telemetry_columns(file: str, names: list[str], rover: Rover, *, placed: bool) -> None:
@@ -113,14 +156,7 @@ def _guess(needed: str, names: list[str]) -> str:
     return f" ({other[0]}?)" if other else ""
 
 
-_ENDS = {"f": "F", "front": "F", "m": "M", "mid": "M", "middle": "M", "center": "M", "centre": "M"}
 _ENDS |= {"r": "R", "rear": "R", "b": "R", "back": "R"}
-_SIDES = {"l": "L", "left": "L", "r": "R", "right": "R"}
-_COVARIANCES = {"0": "xx_m2", "1": "xy_m2", "7": "yy_m2", "35": "yaw_variance"}
-_STAMPS = {"time", "__time", "timestamp", "stamp", "rosbagtimestamp"}
-_STEERS = re.compile(r"steer|corner|azimuth", re.IGNORECASE)
-STAMP_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
-"""Stamps from these on are in these units of s: the clock began in 1970 and stands below 1e10 s. [-, s]"""
 
 
 def meaning_of(name: str) -> str:
@@ -226,68 +262,6 @@ def yaw_roll_pitch(quaternion: FloatArray) -> FloatArray:
     if proper.any():
         turns[proper] = Rotation.from_quat(quaternion[proper]).as_euler("ZYX", degrees=True)[:, [0, 2, 1]]
     return turns
-
-
-LEAST_HELD, SURELY = 1e-4, 3.0
-"""Least odds beforehand that a run is held; they are the share of repeats beyond so many times that by chance;
-assumed."""
-OBEYED = 0.2
-"""Standard error of a turn, an angle or a way that commands or other columns say, as a share of it; assumed."""
-
-
-def held(values: FloatArray, chance: float, expected: FloatArray, sigma: float) -> BoolArray:
-    """Which readings only repeat the one before. (n,)
-
-    Parameters
-    ----------
-    values : readings, of one or more numbers each. (n,) or (n, m)
-    chance : probability that a sound reading repeats the one before while nothing changes.
-    expected : what the reading should have changed by since the start. (n,)
-    sigma : standard error of that change beside the share `OBEYED`, in its unit.
-    """
-    flat = values.reshape(len(values), -1)
-    begins = np.flatnonzero(np.append(True, (np.diff(flat, axis=0) != 0).any(axis=1)))
-    repeats = np.diff(np.append(begins, len(values))) - 1
-    change = np.maximum.reduceat(expected, begins) - np.minimum.reduceat(expected, begins)
-    # A channel that is sent more often than it is read repeats throughout.
-    ln_held = math.log(max(LEAST_HELD, repeats.sum() / len(values) - SURELY * chance))
-    ln_odds = ln_held - repeats * math.log(chance) + 0.5 * change**2 / (sigma**2 + (OBEYED * change) ** 2)
-    result = np.repeat((ln_odds > 0) & (repeats > 0), repeats + 1)
-    result[begins] = False
-    return np.asarray(result)
-
-
-def digit_of(values: FloatArray) -> float:
-    """The last digit: the finest change of which all changes are multiples; a thousandth of it where they are none.
-
-    Infinite where nothing changes.
-    """
-    changes = np.abs(np.diff(values, axis=0))
-    changes = changes[np.isfinite(changes)]
-    changes = changes[changes > 1e-6 * np.max(changes, initial=0.0)]
-    finest = float(np.min(changes, initial=np.inf))
-    return finest if (np.abs(changes / finest - np.rint(changes / finest)) < 0.01).all() else 1e-3 * finest
-
-
-def chance_by_noise(values: FloatArray, sigma: float) -> float:
-    """Probability that a reading with an error of `sigma` repeats the one before, by its last digit.
-
-    The difference of two is normal, of standard deviation sqrt 2 sigma, and rounded to the finest change there is.
-    """
-    return min(1.0, digit_of(values) / (2.0 * math.sqrt(math.pi) * sigma))
-
-
-BLOCK = 256
-"""Rows of a block: half a minute at 10 Hz. States are those of all rows."""
-STILL = 0.05
-"""Share of the usual or the highest rim speed below which a wheel stands; assumed."""
-TURNED_DEG = 3.0
-"""Turn of a wheel up to which it stands: 8 mm of way; assumed. [deg]"""
-SURE = 3.0
-"""Standard errors from which on a difference is none of chance, which reaches them once in 370. [-]"""
-MOST_ROWS = 500_000
-"""That are kept: 14 hours at 10 Hz of a rover that does not rest. `tests/benchmarks/load.py` tells their memory."""
-Columns = dict[str, FloatArray]
 
 
 class RowsWithoutRests:
@@ -445,19 +419,6 @@ class Findings:
         return "; ".join(f"{entry.kind}: {entry.what}" for entry in self.entries if entry.doubt)
 
 
-SPELLED = {"deg_s": "deg/s", "rpm": "cycle/min", "turns": "cycle", "m2": "m2", "cm2": "cm2", "mm2": "mm2"}
-"""Units that astropy spells otherwise than names of columns do."""
-POSE_COLUMNS = ("yaw_deg", "yaw_deg_sigma", "roll_deg", "pitch_deg")
-WHEEL_COLUMNS = {
-    "speed_m_s": "speed_{}_m_s",
-    "steering_deg": "steering_{}_deg",
-    "angle_deg": "angle_{}_deg",
-    "rate_deg_s": "rate_{}_deg_s",
-    "steered_deg": "steered_{}_deg",
-}
-"""Commanded rim speed and steering; measured angle since some start, rate and steering. Name to column of a wheel."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Telemetry:
     """Rows of telemetry, in the order of time; NaN where a row lacks a value.
@@ -516,16 +477,6 @@ class Telemetry:
     def turned_deg(self) -> FloatArray:
         """Steering as measured, else as commanded. (n, wheels) [deg]"""
         return np.where(np.isfinite(self.steered_deg), self.steered_deg, self.steering_deg)
-
-
-DATE = re.compile(r"\s*\d{4}-\d\d?-\d\d?|\s*\d\d?:\d\d|\s*\d\d?[./]\d\d?[./]\d{2,4}")
-SYNTHETIC = ("true", "1", "1.0")
-YAW_SIGMA_DEG, POSITION_SIGMA_M = 0.3, 0.02
-"""Error of a heading, and of a position, whose error is not given; assumed. [deg, m]"""
-
-SHARED = ("xx_before_m2", "xy_before_m2", "yx_before_m2", "yy_before_m2")
-"""Covariance of x and y of a position with x and y of the one in the row before."""
-POSITION_COLUMNS = ("time_s", "x_m", "y_m", "z_m", "yaw_deg", "sigma_m", *ERRORS, *SHARED, "synthetic")
 
 
 class Positions(NamedTuple):
@@ -770,3 +721,10 @@ def _flat(file: str, table: "pd.DataFrame") -> "pd.DataFrame":
     if twice := next((name for name, times in Counter(names).items() if times > 1), None):
         raise DataError(f"{file}: two columns are called '{twice}'; keep one of them")
     return table.set_axis(pd.Index(names), axis=1)
+
+
+def between(values: FloatArray) -> FloatArray:
+    """Mean of successive rows, of one where only that one is known. (n - 1, wheels)"""
+    before, after = values[:-1], values[1:]
+    both = 0.5 * (before + after)
+    return np.where(np.isfinite(both), both, np.where(np.isfinite(before), before, after))

@@ -27,17 +27,28 @@ from lunarsci.twin.simulation.prescribed_motion import PrescribedLoads, prescrib
 from lunarsci.twin.telemetry.checks import (
     FAST,
     HALT,
-    LEAST_ROW_M,
     WheelPace,
     by_the_plan,
+    check_attitude,
     check_ends,
     check_pace,
     check_slips,
     ordered,
     steering_angles,
     time_gaps,
+    usable_headings,
+    usable_positions,
 )
-from lunarsci.twin.telemetry.filter import DRIFT, LAG, LEVER, LINEAR_S, SCALE, SLIDES, Nodes, lag_of_turns, linearised
+from lunarsci.twin.telemetry.filter import LAG, LEVER, LINEAR_S, SCALE, Nodes, lag_of_turns, linearised
+from lunarsci.twin.telemetry.hypotheses import (
+    FREEDOM,
+    MOTION,
+    REPORTED,
+    Posterior,
+    Priors,
+    as_meant,
+    in_units,
+)
 from lunarsci.twin.telemetry.nodes import (
     Rows,
     denser,
@@ -50,33 +61,15 @@ from lunarsci.twin.telemetry.nodes import (
     wheel_velocities,
     within,
 )
-from lunarsci.twin.telemetry.reading import SHARED, STILL, SURE, Findings, Positions, Telemetry
-from lunarsci.twin.telemetry.readings import (
-    as_meant,
-    check_attitude,
-    in_units,
-    sway_m,
-    usable_headings,
-    usable_positions,
-)
-from lunarsci.twin.telemetry.smoother import (
-    FAR,
-    FREEDOM,
-    LATE_S,
-    MEDIAN_OF_TWO,
-    Hypothesis,
-    Posterior,
-    Priors,
-    SlipProcess,
-    Smoothed,
-    smooth,
-)
+from lunarsci.twin.telemetry.reading import LEAST_ROW_M, SHARED, STILL, SURE, Findings, Positions, Telemetry
+from lunarsci.twin.telemetry.smoother import FAR, MEDIAN_OF_TWO, SlipProcess, Smoothed, smooth
 from lunarsci.twin.telemetry.wheel_motion import (
     ON_THE_SPOT,
     WheelMotion,
     body_twist,
     mean_speed,
     of_one_motion,
+    sway_m,
     wheel_motion,
 )
 
@@ -85,6 +78,20 @@ if TYPE_CHECKING:
 
 UNEVEN = 0.2
 """Change of speed, in ln, about a node from which on it is a start or a stop, without a state; assumed."""
+HARDLY = (FREEDOM + 2.0) / (FREEDOM + FAR)
+"""Weight below which, beside the best one, a position or a heading is said to be left out: that of `FAR`."""
+MOST_JUMPS = 8
+"""Ways on which positions may shift; where more are odd, positions are bad altogether; assumed."""
+MOST_LEFT_OUT = 0.2
+"""Share of the positions left out beyond which the result is in doubt; assumed."""
+LEAST_SCATTER, FINEST_M = 0.05, 5e-4
+"""Median square of what positions are off by over that of their errors, and a standard error [m], below which their
+errors are not believed; assumed."""
+LATE = next(one for one in MOTION if one.name == "lag")
+MOST_LAGS = 3
+"""Times that a lag is put back and looked for again."""
+BASIS = "positions"
+"""What slip and side slip rest on: the positions of `position_table`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -231,19 +238,6 @@ def _chosen(
     return chosen, np.isin(chosen, halts)
 
 
-HELD = 0.5
-"""Probability from which on a hypothesis is said: it is more probable than not."""
-HARDLY = (FREEDOM + 2.0) / (FREEDOM + FAR)
-"""Weight below which, beside the best one, a position or a heading is said to be left out: that of `FAR`."""
-MOST_JUMPS = 8
-"""Ways on which positions may shift; where more are odd, positions are bad altogether; assumed."""
-MOST_LEFT_OUT = 0.2
-"""Share of the positions left out beyond which the result is in doubt; assumed."""
-LEAST_SCATTER, FINEST_M = 0.05, 5e-4
-"""Median square of what positions are off by over that of their errors, and a standard error [m], below which their
-errors are not believed; assumed."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lag:
     """By how much positions and headings are later than the columns of the wheels.
@@ -269,7 +263,7 @@ class Lag:
     @property
     def likely(self) -> bool:
         """Whether a lag is more probable than none."""
-        return self.probable > HELD
+        return self.probable > REPORTED
 
     def to_dict(self) -> dict[str, float | bool]:
         """For a result."""
@@ -280,62 +274,27 @@ def say_constants(smoothed: Smoothed, nodes: Nodes, priors: Priors, lag: Lag, fi
     """Say each hypothesis that is more probable than not, with what was found; the motion holds it."""
     mean, sigma = smoothed.posterior.mean, np.sqrt(np.diag(smoothed.posterior.covariance))
 
-    def value(k: int, unit: str, factor: float = 1.0) -> str:
-        return f"{factor * mean[k]:.3g} +- {factor * sigma[k]:.2g} {unit}"
-
-    ahead, left = LEVER.start, LEVER.start + 1
-    text = {
-        "lever arm": (
-            f"positions are those of a point {value(ahead, 'm')} ahead and {value(left, 'm')} to the left of the "
-            "rover's origin",
-            "the motion is that of the origin; give positions of the origin",
-        ),
-        "heading drift": (
-            f"headings drift by {value(DRIFT, 'deg', math.degrees(1.0))} until the end",
-            "the motion is without the drift",
-        ),
-        "lag": (
-            f"the rover moves {abs(lag.lag_s):.3g} +- {lag.sigma_s:.2g} s "
-            f"{'later' if lag.lag_s > 0 else 'earlier'} than its wheels say",
-            f"positions and headings are put back, as --lag {lag.lag_s:.2f} does",
-        ),
-        "constant side slip": (
-            f"the rover glides by {value(1, 'deg', math.degrees(1.0))} all the way, positive to the left",
-            "kept; a heading that is off throughout looks the same",
-        ),
-        "encoder scale": (
-            f"the rims turn {math.exp(mean[SCALE]):.3f} +- {sigma[SCALE]:.3f} times as far as their encoders say",
-            "slip is of the rims",
-        ),
-    }
     for one, probable in zip(priors.hypotheses, smoothed.posterior.probable, strict=True):
-        probable = lag.probable if one.name == "lag" else probable
-        if probable <= HELD or not one.reported:
+        late = one.name == "lag"
+        if (lag.probable if late else probable) <= REPORTED or not one.what:
             continue
-        if one.slide < 0:
-            what, done = text[one.name]
-            findings.add(one.name, what, f"{done} (probability {probable:.3g})")
-            continue
-        times = nodes.time_s[list(nodes.slides[one.slide])]
-        ways = [SLIDES + 2 * one.slide + step for step in (0, 1)]
-        halted = one.slide < len(nodes.halts)
-        what = (
-            f"the rover moves {value(ways[0], 'm')} ahead and {value(ways[1], 'm')} to the left between {times[0]:.6g} "
-            f"and {times[1]:.6g} s "
-            + ("while its wheels stand: it slid" if halted else "beside what its wheels roll: it slipped suddenly")
-            + ", or positions are of another frame from then on"
-        )
-        done = "the motion holds it, and slips are found on either side"
-        findings.add(one.name, what, done, time_s=float(times[0]), doubt=not halted and _too_far(smoothed, nodes, one))
-
-
-def _too_far(smoothed: Smoothed, nodes: Nodes, one: Hypothesis) -> bool:
-    """Whether the rover goes farther on the way of a shift than its wheels roll, which no slip makes of it."""
-    first, last = nodes.slides[one.slide]
-    moved = float(np.hypot(*(smoothed.state[last, :2] - smoothed.state[first, :2])))
-    ways = list(one.members)
-    sigma = math.sqrt(np.diag(smoothed.posterior.covariance)[ways].sum())
-    return moved - float(nodes.way_m[first:last].sum()) > SURE * sigma
+        values: list[object] = [f"{one.factor * mean[k]:.3g} +- {one.factor * sigma[k]:.2g}" for k in one.members]
+        doubt, time_s = False, None
+        if late:
+            values = [f"{abs(lag.lag_s):.3g} +- {lag.sigma_s:.2g} s {'later' if lag.lag_s > 0 else 'earlier'}"]
+        elif one.members == (SCALE,):
+            values = [f"{math.exp(mean[SCALE]):.3f} +- {sigma[SCALE]:.3f}"]
+        elif one.slide >= 0:
+            first, last = nodes.slides[one.slide]
+            halted, time_s = one.slide < len(nodes.halts), float(nodes.time_s[first])
+            how = "while its wheels stand: it slid" if halted else "beside what its wheels roll: it slipped suddenly"
+            values += [time_s, nodes.time_s[last], how]
+            # Farther than its wheels roll no slip makes it go.
+            moved = float(np.hypot(*(smoothed.state[last, :2] - smoothed.state[first, :2])))
+            farther = moved - float(nodes.way_m[first:last].sum())
+            doubt = not halted and farther > SURE * math.hypot(*sigma[list(one.members)])
+        done = one.done.format(f"{lag.lag_s:.2f}") + (f" (probability {probable:.3g})" if one.slide < 0 else "")
+        findings.add(one.name, one.what.format(*values), done, time_s=time_s, doubt=doubt)
 
 
 def _left_out(smoothed: Smoothed, nodes: Nodes) -> BoolArray:
@@ -401,10 +360,6 @@ def counted_positions(
         shared = sent.fix_shared_m2[rows][used] * after_used[:, None, None]
     place, covariance = sent.fix_m[rows] - added, sent.fix_covariance_m2[rows]
     return Positions(nodes.time_s[used], place[used], covariance[used], shared)
-
-
-MOST_LAGS = 3
-"""Times that a lag is put back and looked for again."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -520,7 +475,7 @@ def _along_the_ground(
         common = within(sent, far_s)
         late, none = (_first_motion(common, rover, schedule, lag_s + one) for one in (far_s, 0.0))
         gain = late.smoothed.posterior.ln_likelihood - none.smoothed.posterior.ln_likelihood
-        if gain > 0.5 * (far_s / LATE_S) ** 2:
+        if gain > 0.5 * (far_s / LATE.sigma) ** 2:
             begun = _first_motion(sent, rover, schedule, lag_s + far_s)
     for _ in range(MOST_LAGS):
         if abs(left := float(begun.smoothed.posterior.mean[LAG])) < LINEAR_S:
@@ -594,10 +549,6 @@ def _way(rover: Rover, sent: Rows, schedule: Schedule | None) -> tuple[FloatArra
     twist, _ = body_twist(rover, rims, 0.5 * (steering[1:] + steering[:-1]))
     way = np.append(0.0, np.cumsum(mean_speed(rims) * np.diff(times)))
     return twist, way
-
-
-BASIS = "positions"
-"""What slip and side slip rest on: the positions of `position_table`."""
 
 
 def wheel_table(drive: DriveStates) -> "pd.DataFrame":

@@ -19,9 +19,9 @@ from lunarsci.twin.jobs.states import states as measured_states
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, predict
-from lunarsci.twin.telemetry.checks import WheelPace
+from lunarsci.twin.telemetry.checks import WheelPace, check_attitude, usable_headings
+from lunarsci.twin.telemetry.hypotheses import in_units
 from lunarsci.twin.telemetry.reading import Findings, Telemetry, read_telemetry
-from lunarsci.twin.telemetry.readings import check_attitude, in_units, usable_headings
 from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simulate_telemetry
 from lunarsci.twin.telemetry.states import DriveStates, motion_table, position_table, states_of, wheel_table
 from lunarsci.twin.telemetry.wheel_motion import wheel_motion

@@ -22,9 +22,9 @@ from lunarsci.twin.plans.path import commands_at, make_schedule
 from lunarsci.twin.plans.plan import Fixes, Leg, Plan, read_plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
+from lunarsci.twin.telemetry.checks import with_positions
 from lunarsci.twin.telemetry.filter import ErrorChain, Nodes
 from lunarsci.twin.telemetry.reading import Findings, Positions, read_positions, read_telemetry
-from lunarsci.twin.telemetry.readings import with_positions
 from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simulate_telemetry
 from lunarsci.twin.telemetry.sinkage import RutPoints, deepest_wheel, read_track, rut_points, with_sinkage
 from lunarsci.twin.telemetry.smoother import SlipProcess, smooth
