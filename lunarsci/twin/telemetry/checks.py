@@ -23,22 +23,22 @@ from lunarsci.twin.simulation.contact import VALID_SLIP
 from lunarsci.twin.simulation.prescribed_motion import PrescribedLoads
 from lunarsci.twin.telemetry.hypotheses import LN_ODDS, chance_by_noise, held
 from lunarsci.twin.telemetry.nodes import Rows
-from lunarsci.twin.telemetry.reading import LEAST_ROW_M, STILL, SURE, UNDER_WAY, Findings, Positions, Telemetry
+from lunarsci.twin.telemetry.reading import LEAST_ROW_M, OBEYED, STILL, SURE, UNDER_WAY, Findings, Positions, Telemetry
 from lunarsci.twin.telemetry.wheel_motion import PACE, mean_speed
 
 LEAST_ROWS = 5
 FAST = "fast slip"
 """Kind of a finding."""
-OFF_DEG, STEERED_DEG = 5.0, 0.5
-"""Difference of measured and commanded steering that no motor on its way makes, and standard error of one from the
-other; assumed. [deg]"""
+STEERED_DEG = 0.5
+"""Standard error of one steering angle from another, as measured from commanded; assumed. [deg]"""
+STEERING_DEG = STEERED_DEG * math.sqrt(
+    2.0 * (math.log(360.0 / (math.sqrt(2.0 * math.pi) * STEERED_DEG)) - LN_ODDS["reading"])
+)
+"""Difference from which it is more probable that one of the two says nothing: it may be any angle then. [deg]"""
 FEWEST_RATES = 5
 AGAINST_PLAN = "wheels against plan"
 """Kind of the finding; a soil is found with a plan of its own, so that it does not stay with the states."""
-STEERING_DEG, SPEED_SHARE = 2.0, 0.25
-"""How far a row's commands may be off the plan's: steering, and rim speed as a share of the mean of the rims;
-assumed."""
-SOME, MOST, COVERED = 0.01, 0.4, 0.6
+SOME, MOST = 0.01, 0.4
 """Share of the way that may be off unsaid; beyond which it is another plan; and that must lie within the plan;
 assumed."""
 STEP_M, MOST_TRIED = 0.05, 500
@@ -164,12 +164,20 @@ def _mend(
         return
     hung, off = np.zeros((2, len(both)), dtype=bool)
     hung[both] = held(measured[both, k], 1.0, commanded[both, k], STEERED_DEG)
-    off[both] = np.abs(measured[both, k] - commanded[both, k]) > OFF_DEG
+    # A motor is on its way for a step.
+    change = np.abs(np.diff(commanded[:, k], prepend=commanded[0, k], append=commanded[-1, k]))
+    allowed = STEERING_DEG + np.nan_to_num(np.maximum(change[1:], change[:-1]))
+    off[both] = np.abs(measured[both, k] - commanded[both, k]) > allowed[both]
     off &= ~hung
     obeyed = not np.median(off[both])
     for kind, rows, what, mended in (
         ("stuck", hung, f"the steering angle of wheel {wheel} stays the same while it is told to change", True),
-        ("odd steering", off, f"the steering angle of wheel {wheel} is over {OFF_DEG:g} deg off its command", obeyed),
+        (
+            "odd steering",
+            off,
+            f"the steering angle of wheel {wheel} is over {STEERING_DEG:.2g} deg off its command",
+            obeyed,
+        ),
     ):
         done = "the command is taken there" if mended else "the measured angle is taken"
         findings.of_rows(kind, what, done, rows, telemetry.time_s, doubt=not mended)
@@ -413,7 +421,7 @@ class _Beside:
 
     def __init__(self, sent: _AlongWay, plan: _AlongWay, schedule: Schedule, rover: Rover) -> None:
         self.rover, self.schedule, self.plan = rover, schedule, plan
-        self.allowed = STEERING_DEG if rover.steered_mask.any() else SPEED_SHARE
+        self.allowed = STEERING_DEG if rover.steered_mask.any() else OBEYED
         pace, end = sent.speed_m_s / plan.speed_m_s, float(plan.way_m[-1])
         begin = float(np.interp(sent.time_s[0], plan.time_s, plan.way_m))
         tried = list[tuple[float, _AlongWay, float, float]]()
@@ -440,7 +448,7 @@ class _Beside:
         self.planned_s = np.interp(way + self.offset_m, plan.way_m, plan.time_s)
         self.late_s = sent.time_s - self.planned_s / faster
         within = float(length[self.inside].sum())
-        short = within < COVERED * min(float(length.sum()), end)
+        short = within < (1.0 - MOST) * min(float(length.sum()), end)
         self.share_off = 1.0 if short else float((length * self.off.any(axis=1))[self.inside].sum()) / within
 
     @classmethod

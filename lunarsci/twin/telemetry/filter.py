@@ -53,8 +53,6 @@ LINEAR_S = 0.5
 """Lag up to which the motion is linear in one; a longer one is put back, and what is left found anew; assumed. [s]"""
 MOST_PARTS = 8
 """Of a halt with positions, in which the rover may slide each; more are taken together."""
-FARTHEST_S = 60.0
-"""How far the motion is taken to go on before and behind the drive, at the speeds of its ends; assumed. [s]"""
 
 
 class ErrorChain(NamedTuple):
@@ -175,15 +173,15 @@ def dead_reckoned(nodes: Nodes) -> FloatArray:
     return state
 
 
-def lag_of_turns(nodes: Nodes) -> float:
-    """The lag at which wheels turn as headings do. [s]
+def lag_of_turns(nodes: Nodes, farthest_s: float) -> float:
+    """The lag at which wheels turn as headings do, up to the farthest that is tried. [s]
 
     0 where it is so short that the motion is linear in it, or where turns hardly tell.
     """
     steps = np.diff(nodes.time_s)
     given, turned = np.isfinite(nodes.yaw_rad), np.append(0.0, np.cumsum(nodes.twist[:, 2] * steps))
     times, yaw = nodes.time_s[given], nodes.yaw_rad[given]
-    farthest = min(0.5 * FARTHEST_S, 0.25 * float(times[-1] - times[0]))
+    farthest = min(farthest_s, 0.25 * float(times[-1] - times[0]))
     inside = (times >= times[0] + farthest) & (times <= times[-1] - farthest)
     if inside.sum() < 3 or np.ptp(turned) == 0.0:
         return 0.0
@@ -331,8 +329,10 @@ def _put_back(nodes: Nodes, moved: FloatArray, lag_s: float) -> tuple[FloatArray
     steps = np.diff(nodes.time_s)[:, None]
     rate = moved / steps
     path = np.vstack([np.zeros(3), np.cumsum(moved, axis=0)])
-    path = np.vstack([path[:1] - FARTHEST_S * rate[:1], path, path[-1:] + FARTHEST_S * rate[-1:]])
-    times = np.concatenate([nodes.time_s[:1] - FARTHEST_S, nodes.time_s, nodes.time_s[-1:] + FARTHEST_S])
+    # Before and behind the drive it goes on at the speeds of its ends.
+    whole_s = nodes.time_s[-1] - nodes.time_s[0]
+    path = np.vstack([path[:1] - whole_s * rate[:1], path, path[-1:] + whole_s * rate[-1:]])
+    times = np.concatenate([nodes.time_s[:1] - whole_s, nodes.time_s, nodes.time_s[-1:] + whole_s])
     at = nodes.time_s - lag_s
 
     def along(when: FloatArray) -> FloatArray:

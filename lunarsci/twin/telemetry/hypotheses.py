@@ -76,9 +76,7 @@ RIM_SIGMA = 0.03
 POINT_M, CLOCK_S, STANDS_M = 0.01, 0.1, 2e-4
 """How well the localised point [m] and the clock [s] are usually known, and a rover stands at a halt [m]; assumed."""
 SLIPS = np.array(MEAN_SIGMA[:2])
-"""Standard deviation of what slip makes of ways ahead and to the left throughout."""
-CHANGES, TURNS, TURNS_PER_M = 0.1, 0.1, math.radians(0.5)
-"""The same of how it changes between positions, of a turn, and of a turn on a straight way; assumed. [-, -, rad/m]"""
+"""Standard deviation of what slip makes of ways ahead and to the left throughout; that of its changes is `SLIPS[1]`."""
 USUAL = np.array([LEVEL_SIGMA[0], MEAN_SIGMA[1]])
 """The first ones for a frame that is not as the names say: it has to explain a drive by usual slips."""
 SLOWER = 1.0
@@ -339,7 +337,7 @@ def as_meant(
     `as_planned` whether steering is that of a plan. Raises DataError where several readings are alike.
     """
     frames = [one for one in FRAMES if not as_planned or one.turn in (0.0, 1.0)]
-    turns = 0.5 if skids else TURNS
+    turns = SKID_SIGMA[0] if skids else EFFECT_SIGMA[2]
     ln_probable = [one.ln_odds + _ln_of_frame(one, telemetry, twist, turns) for one in frames]
     remedy = (
         "; x is to the right of the map, y up, yaw_deg from x towards y in degrees, steering positive to the left: "
@@ -377,14 +375,14 @@ def _ln_of_frame(frame: Frame, telemetry: Telemetry, twist: FloatArray, turns: f
     if frame.way_sigma is not None:
         sigma, mean = np.hypot(frame.way_sigma * way, frame.least_m or stated), np.zeros(2)
     else:
-        sigma = np.hypot(CHANGES * way, stated)
+        sigma = np.hypot(SLIPS[1] * way, stated)
         # The slip that all ways have in common, as far as it is likely at all.
         mean = np.median(share[rolled] / way[rolled, None], axis=0) if rolled.any() else np.zeros(2)
         mean = np.clip(mean, -SURE * SLIPS, SURE * SLIPS)
     ln_mean = float(-0.5 * ((mean / (USUAL if frame.meaning else SLIPS)) ** 2).sum())
     share = share - mean * way[:, None]
     yaw_sigma = math.sqrt(2.0) * math.radians(float(np.nanmedian(telemetry.yaw_deg_sigma)))
-    turn_sigma = np.sqrt((turns * np.maximum(turned, np.abs(turn))) ** 2 + (TURNS_PER_M * way) ** 2 + yaw_sigma**2)
+    turn_sigma = np.sqrt((turns * np.maximum(turned, np.abs(turn))) ** 2 + (MEAN_SIGMA[2] * way) ** 2 + yaw_sigma**2)
     density = len(off) * math.log(abs(np.linalg.det(frame.place)))
     return (
         ln_mean

@@ -73,8 +73,6 @@ BLOCK = 256
 """Rows of a block: half a minute at 10 Hz. States are those of all rows."""
 STILL = 0.05
 """Share of the usual or the highest rim speed below which a wheel stands; assumed."""
-TURNED_DEG = 3.0
-"""Turn of a wheel up to which it stands: 8 mm of way; assumed. [deg]"""
 SURE = 3.0
 """Standard errors from which on a difference is none of chance, which reaches them once in 370. [-]"""
 MOST_ROWS = 500_000
@@ -100,6 +98,8 @@ SHARED = ("xx_before_m2", "xy_before_m2", "yx_before_m2", "yy_before_m2")
 POSITION_COLUMNS = ("time_s", "x_m", "y_m", "z_m", "yaw_deg", "sigma_m", *ERRORS, *SHARED, "synthetic")
 SIGMA_DEG, RATE_SHARE = 1.0, 0.1
 """Standard errors of turns between rows, of all [deg] and of rates as a share; assumed. Of commands it is `OBEYED`."""
+TURNED_DEG = 3.0 * SIGMA_DEG
+"""Turn of a wheel up to which it stands: three standard errors, 8 mm of way. [deg]"""
 UNDER_WAY = 0.3
 """Share of the highest speed from which a wheel counts as under way; assumed."""
 LEAST_ROW_M = 0.3

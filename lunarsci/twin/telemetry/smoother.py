@@ -32,7 +32,15 @@ from lunarsci.twin.telemetry.filter import (
     linearised,
     smoothed_back,
 )
-from lunarsci.twin.telemetry.hypotheses import EFFECT_MEAN, FREEDOM, Posterior, Priors, averaged, likely_sets
+from lunarsci.twin.telemetry.hypotheses import (
+    EFFECT_MEAN,
+    FREEDOM,
+    MEAN_SIGMA,
+    Posterior,
+    Priors,
+    averaged,
+    likely_sets,
+)
 
 LENGTHS_M = (0.35, 0.7, 1.4, 2.8)
 """Candidates for the way over which deviations change: from half the length of a rover, which averages the ground below
@@ -53,8 +61,8 @@ WIDTH = 1.7
 WALKS, WALK_ODDS = (0.0, 0.02, 0.045, 0.08), (0.16, 0.28, 0.28, 0.28)
 """Candidates for how the error that positions share grows, and how probable each is beforehand: visual odometry walks
 by some centimetres a root metre; assumed. [m / sqrt(m)]"""
-COARSE = np.array([0.1, 0.1, 0.05])
-"""How slip changes while nothing is known of it: widely; assumed."""
+COARSE = np.array([MEAN_SIGMA[1], MEAN_SIGMA[1], MEAN_SIGMA[2]])
+"""How slip changes while nothing is known of it: as widely as it is unknown."""
 ORDER = (2, 1, 0)
 """Of the velocities, the best known first: headings tell how the turn changes."""
 DRAWN = 12

@@ -39,7 +39,7 @@ from lunarsci.twin.telemetry.checks import (
     usable_headings,
     usable_positions,
 )
-from lunarsci.twin.telemetry.filter import LAG, LEVER, LINEAR_S, SCALE, Nodes, lag_of_turns, linearised
+from lunarsci.twin.telemetry.filter import LAG, LEVER, LINEAR_S, MOST_PARTS, SCALE, Nodes, lag_of_turns, linearised
 from lunarsci.twin.telemetry.hypotheses import (
     FREEDOM,
     MOTION,
@@ -61,10 +61,9 @@ from lunarsci.twin.telemetry.nodes import (
     wheel_velocities,
     within,
 )
-from lunarsci.twin.telemetry.reading import LEAST_ROW_M, SHARED, STILL, SURE, Findings, Positions, Telemetry
+from lunarsci.twin.telemetry.reading import LEAST_ROW_M, OBEYED, SHARED, STILL, SURE, Findings, Positions, Telemetry
 from lunarsci.twin.telemetry.smoother import FAR, MEDIAN_OF_TWO, SlipProcess, Smoothed, smooth
 from lunarsci.twin.telemetry.wheel_motion import (
-    ON_THE_SPOT,
     WheelMotion,
     body_twist,
     mean_speed,
@@ -76,12 +75,8 @@ from lunarsci.twin.telemetry.wheel_motion import (
 if TYPE_CHECKING:
     import pandas as pd
 
-UNEVEN = 0.2
-"""Change of speed, in ln, about a node from which on it is a start or a stop, without a state; assumed."""
 HARDLY = (FREEDOM + 2.0) / (FREEDOM + FAR)
 """Weight below which, beside the best one, a position or a heading is said to be left out: that of `FAR`."""
-MOST_JUMPS = 8
-"""Ways on which positions may shift; where more are odd, positions are bad altogether; assumed."""
 MOST_LEFT_OUT = 0.2
 """Share of the positions left out beyond which the result is in doubt; assumed."""
 LEAST_SCATTER, FINEST_M = 0.05, 5e-4
@@ -148,7 +143,7 @@ def state_rows(
     """States of every wheel at nodes where the rover drives, at most once between two positions, and at halts."""
     speed = np.hypot(nodes.twist[:, 0], nodes.twist[:, 1])
     steps = np.diff(nodes.time_s)
-    drives = (speed > ON_THE_SPOT * nodes.way_m / steps) & (speed > STILL * wheels.usual_m_s)
+    drives = (speed > STILL * nodes.way_m / steps) & (speed > STILL * wheels.usual_m_s)
     distance = np.append(0.0, np.cumsum(np.where(drives, speed * steps, 0.0)))
     gap_nodes = np.add.reduceat(gaps.astype(int), rows[:-1]) > 0
     chosen, halted = _chosen(nodes, drives, distance, gap_nodes, findings)
@@ -208,7 +203,7 @@ def _chosen(
     """
     fixes = np.flatnonzero(nodes.fixed)
     pace = nodes.way_m / np.diff(nodes.time_s)
-    even = np.abs(np.log(np.maximum(pace[1:], 1e-12) / np.maximum(pace[:-1], 1e-12))) < UNEVEN
+    even = np.abs(np.log(np.maximum(pace[1:], 1e-12) / np.maximum(pace[:-1], 1e-12))) < OBEYED
     driven, dark = (np.pad(one, 1) for one in (drives[1:] & drives[:-1], gap[1:] | gap[:-1]))
     dark[[0, -1]] = gap[[0, -1]]
     lost = np.append(0, np.cumsum(gap))
@@ -309,7 +304,7 @@ def shifted(smoothed: Smoothed, nodes: Nodes) -> Nodes:
     ways = [pair for pair, odd in inner if odd]
     moved = (nodes.way_m[first:last].any() for first, last in ways)
     jumps = tuple((int(a), int(b)) for (a, b), rolls in zip(ways, moved, strict=True) if rolls)
-    return replace(nodes, jumps=jumps[:MOST_JUMPS])
+    return replace(nodes, jumps=jumps[:MOST_PARTS])
 
 
 def left_out_of(smoothed: Smoothed, nodes: Nodes) -> FloatArray:
@@ -470,7 +465,7 @@ def _along_the_ground(
     times = sent.telemetry.time_s
     between = np.column_stack([times[:-1][sent.gaps], times[1:][sent.gaps]])
     begun = _first_motion(sent, rover, schedule, lag_s)
-    if far_s := lag_of_turns(begun.nodes):
+    if far_s := lag_of_turns(begun.nodes, 10.0 * LATE.sigma):
         # Of two lags, none and the one that turns tell, the more probable one is taken, by what both can use.
         common = within(sent, far_s)
         late, none = (_first_motion(common, rover, schedule, lag_s + one) for one in (far_s, 0.0))

@@ -24,7 +24,7 @@ from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 from lunarsci.twin.simulation.prescribed_motion import PrescribedLoads
 from lunarsci.twin.telemetry.filter import onto_map
-from lunarsci.twin.telemetry.hypotheses import LN_ODDS, digit_of, held
+from lunarsci.twin.telemetry.hypotheses import CLOCK_S, LN_ODDS, digit_of, held
 from lunarsci.twin.telemetry.reading import (
     OBEYED,
     RATE_SHARE,
@@ -38,18 +38,9 @@ from lunarsci.twin.telemetry.reading import (
     between,
 )
 
-STAMP_S = 0.5
-"""By how much rows may be stamped off; assumed. [s]"""
-ON_THE_SPOT = 0.1
-"""Speed of the rover as a share of that of its rims below which it turns on the spot; assumed."""
 PACE = 0.02
 """Share by which a wheel may turn faster or slower than the plan or the others say, unsaid: it is a slip of as much;
 assumed."""
-DISAGREE = 0.03
-"""Median share of the usual rim speed by which wheels may differ from one motion; assumed."""
-MOST_SCALE, TURNED_RAD = 1.5, 0.1
-"""Farthest that an encoder's scale is off, as by another wheel or gear; change of steering beyond which steps are of
-two motions; assumed."""
 BLOCK_M = 0.5
 """Way over which rims are averaged, as the last digits of encoders count less in it. Half or twice as much moves slips
 by 0.05 of their errors at most, as measured. [m]"""
@@ -108,7 +99,7 @@ def wheel_motion(telemetry: Telemetry, rover: Rover, gaps: BoolArray, findings: 
         turn[resting] *= 0.0
     turns = {"command": command, "rate": rate, "angle": angle}
     rates = {"command": telemetry.speed_m_s / per_deg, "rate": telemetry.rate_deg_s}
-    went = _turns(turns, _sigma(turns, rates, digits, steps), rover.max_speed_m_s / per_deg * (steps + STAMP_S), gaps)
+    went = _turns(turns, _sigma(turns, rates, digits, steps), rover.max_speed_m_s / per_deg * (steps + CLOCK_S), gaps)
     measured = np.where(went.counts, angle - 360.0 * went.wraps, np.where(went.tells, rate, np.nan)) / steps
     _say(telemetry, rover, went, hung[1:], ~np.isfinite(measured), findings)
     rim, given = per_deg * np.where(np.isfinite(measured), measured, command / steps), np.isfinite(measured)
@@ -370,10 +361,9 @@ def of_one_motion(
     given = np.isfinite(wheels.rim_m_s).all(axis=1) & wheels.moving
     if not given.any() or not rover.steered_mask.any():
         return wheels
-    # Steps without a halt between, or a change of steering as before a turn, that make a block.
+    # Steps without a halt between that make a block.
     way = np.cumsum(np.where(given, mean_speed(wheels.rim_m_s) * step_s, 0.0)) // BLOCK_M
-    turned = np.append(False, (np.abs(np.diff(steering_rad, axis=0)) > TURNED_RAD).any(axis=1))
-    block = np.cumsum(np.append(True, (np.diff(way) > 0) | ~given[:-1]) | turned)[given]
+    block = np.cumsum(np.append(True, (np.diff(way) > 0) | ~given[:-1]))[given]
     begins, weight = np.flatnonzero(np.append(True, np.diff(block) > 0)), step_s[given, None]
 
     def means(values: FloatArray) -> FloatArray:
@@ -391,11 +381,11 @@ def of_one_motion(
     turning = np.abs(expected) > UNDER_WAY * np.abs(expected).max()
     scale, trusted = float(np.median(rims[turning, k] / expected[turning])), wheels.trusted.copy()
     # A wheel that stands, or turns otherwise altogether, is no encoder that counts in another scale.
-    counts = 1.0 / MOST_SCALE < scale < MOST_SCALE
+    counts = UNDER_WAY < scale < 1.0 / UNDER_WAY
     mended = np.where(np.arange(len(rover.wheels)) == k, scale if counts else np.nan, 1.0)
     trusted[:, k] &= counts
     off_m_s = float(np.median(body_twist(rover, rims / mended, steering)[1])) / wheels.usual_m_s
-    if off_m_s > DISAGREE:
+    if off_m_s > PACE:
         what = f"rims and steering of the wheels differ by {100 * off_m_s:.2g} % from any one motion"
         done = "their best fit is taken; are the wheels named as they should be?"
         findings.add("wheels disagree", what, done, doubt=True)

@@ -468,7 +468,7 @@ def test_a_rover_with_a_blank_sensor_still_stands_on_the_terrain(drive: Syntheti
 
 
 def test_a_rover_that_steers_only_when_it_starts_is_no_doubt(drive: SyntheticDrive, yutu2: Rover) -> None:
-    table, names = drive.telemetry.copy(), columns("steering_{}_deg")
+    table, names = drive.telemetry.copy(), columns("steering_{}_deg", "steered_{}_deg")
     table.loc[:3, names] = 0.0
     with pytest.warns(LunarSciWarning, match="all of them at its start"):
         assert not states(csv(table), yutu2).findings.doubt
