@@ -15,14 +15,15 @@ from lunarsci.io.inputs import InputFile
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import build_rover
 from lunarsci.twin.telemetry import filter as motion_filter
-from lunarsci.twin.telemetry import nodes, reading, smoother, states, wheel_motion
+from lunarsci.twin.telemetry import hypotheses, nodes, reading, smoother, states, wheel_motion
 
 DRIVES = ((1, "healthy"), (6, "walking"))
-MODULES = (reading, wheel_motion, motion_filter, smoother, nodes, states)
+MODULES = (reading, hypotheses, wheel_motion, motion_filter, smoother, nodes, states)
 TRIED = {
     "START_M": (10.0,), "START_RAD": (10.0,), "POSITION_M_PER_STEP": (0.5, 2.0), "TURN_PER_STEP": (0.5, 2.0),
     "AGREEMENT": (0.5, 2.0), "LEAST_EFFECT": (0.5, 2.0), "BLOCK_M": (0.5, 2.0),
-    "STIFFNESSES": (2.0,), "AMPLITUDES": (2.0,), "LENGTHS_M": (2.0,),
+    "LOOSE_M": (0.5, 2.0), "BEND_M": (0.5, 2.0), "LINEAR_S": (0.5, 2.0), "UNKNOWN": (0.5, 2.0), "WIDTH": (0.5, 2.0),
+    "SHARES": (0.5, 2.0), "LEAST_LOAD": (0.5, 2.0), "STIFFNESSES": (2.0,), "AMPLITUDES": (2.0,), "LENGTHS_M": (2.0,),
 }  # fmt: skip
 
 

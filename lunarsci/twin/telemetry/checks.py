@@ -133,7 +133,7 @@ def steering_angles(telemetry: Telemetry, rover: Rover, findings: Findings) -> t
     """Steering of every row and wheel, and where it is known, not found from the rows beside. (n, wheels) [deg]
 
     Readings that hang or jump away from the command are replaced by it and said. Raises DataError for a wheel that has
-    none, and for angles beyond 90 degrees.
+    none.
     """
     measured, commanded = telemetry.steered_deg.copy(), telemetry.steering_deg
     for k, wheel in enumerate(rover.wheels):
@@ -147,8 +147,6 @@ def steering_angles(telemetry: Telemetry, rover: Rover, findings: Findings) -> t
         done = "found from the rows beside; its states are not valid there"
         findings.of_rows("missing steering", what, done, ~rows, telemetry.time_s)
         angle[:, k] = np.interp(telemetry.time_s, telemetry.time_s[rows], angle[rows, k])
-    if np.abs(angle).max() > 90.0:
-        raise DataError(f"{telemetry.file}: steering angles reach {np.abs(angle).max():.4g} deg; give -90 to 90 deg")
     return angle, given
 
 

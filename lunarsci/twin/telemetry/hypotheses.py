@@ -99,16 +99,16 @@ def ln_student(off: FloatArray, sigma: FloatArray | float) -> FloatArray:
 
 
 def decided(ln_probable: Sequence[float], meanings: Sequence[str], file: str, remedy: str) -> int:
-    """Which hypothesis is the most probable; the first one, as named, where no other is decisively more probable.
+    """Which hypothesis is the most probable; the first one where none is decisively so beside those without a meaning.
 
     Raises DataError where several others are alike.
     """
     best = max(ln_probable)
     near = [number for number, ln in enumerate(ln_probable) if ln > best - DECISIVE]
-    if 0 in near:
+    if any(not meanings[number] for number in near):
         return 0
     if len(near) > 1:
-        raise DataError(f"{file}: {', or '.join(meanings[number] or 'all is as named' for number in near)}{remedy}")
+        raise DataError(f"{file}: {', or '.join(meanings[number] for number in near)}{remedy}")
     return near[0]
 
 
@@ -285,6 +285,7 @@ class Frame:
 MIRRORED = ((1.0, 0.0), (0.0, -1.0))
 FRAMES = (
     Frame(meaning="", ln_odds=0.0),
+    Frame(meaning="", errors=0.3, ln_odds=LN_ODDS["motion"]),
     Frame(
         meaning="x_m and y_m are computed from the wheels",
         way_sigma=ROLLED,
@@ -325,7 +326,7 @@ FRAMES = (
         for unit in ("dm", "cm", "mm", "km")
     ),
 )
-"""What writers of telemetry do; another frame is one that no reading explains."""
+"""What writers of telemetry do; stated errors may be far too large, and another frame is one that nothing explains."""
 
 
 def as_meant(
@@ -346,10 +347,9 @@ def as_meant(
     best = frames[int(np.argmax(ln_probable))]
     if best.doubt is None:
         best = frames[decided(ln_probable, [one.meaning for one in frames], telemetry.file, remedy)]
-    if best is frames[0] or max(ln_probable) - ln_probable[0] < DECISIVE:
-        return telemetry
-    if best.doubt is not None:
+    elif max(ln_probable) - max(ln_probable[:2]) > DECISIVE:
         findings.add(*best.doubt, doubt=True)
+    if best.doubt is not None or not best.meaning:
         return telemetry
     findings.add("read as", best.meaning, "taken so; x is east, y north, yaw_deg from x towards y in degrees")
     return best.read(telemetry)

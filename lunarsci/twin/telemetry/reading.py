@@ -504,7 +504,9 @@ def read_positions(source: InputFile) -> Positions:
     """
     file = source.name
     table = from_ros(file, read_csv_table(source))
-    check_columns(file, table.columns, POSITION_COLUMNS, ("time_s", "x_m", "y_m"))
+    shares = bool({*SHARED} & {*table})
+    errors = ERRORS if shares or {*ERRORS} & {*table} else ("sigma_m",)
+    check_columns(file, table.columns, POSITION_COLUMNS, ("time_s", "x_m", "y_m", *errors, *(SHARED if shares else ())))
     timed = table["time_s"].fillna("").str.strip() != ""
     if not timed.any():
         raise DataError(f"{file}: no position has a time; add time_s, in s from the start of the drive")
@@ -517,13 +519,9 @@ def read_positions(source: InputFile) -> Positions:
         for name in ("time_s", "x_m", "y_m", "sigma_m", *ERRORS, *SHARED)
         if name in table
     }
-    if "sigma_m" not in values and not {*ERRORS} <= {*values}:
-        raise DataError(f"{file}: no errors of the positions; add sigma_m, or xx_m2, xy_m2 and yy_m2")
     place, covariance = np.column_stack([values["x_m"], values["y_m"]]), _covariance(values)
     shared = None
-    if any(name in values for name in SHARED):
-        if missing := [name for name in (*ERRORS, *SHARED) if name not in values]:
-            raise DataError(f"{file}: no column {missing[0]}; covariances with the row before need all of them")
+    if shares:
         shared = np.nan_to_num(np.column_stack([values[name] for name in SHARED])).reshape(-1, 2, 2)
         try:
             np.linalg.cholesky(joint_m2(covariance, shared))
@@ -600,7 +598,7 @@ def _numbers(file: str, table: "pd.DataFrame", rover: Rover, *, placed: bool) ->
     used |= {form.format(wheel) for form in WHEEL_COLUMNS.values() for wheel in rover.wheels}
     times = columns["time_s"][0]
     if DATE.match(str(next(iter(table[times].dropna()), ""))):
-        table = table.assign(**{times: _since_1970_s(file, table[times])})
+        table = table.assign(**{times: _since_1970_s(table[times])})
     return {
         name: factor * numbers_of(file, column, table[column])
         for name, (column, factor) in columns.items()
@@ -608,16 +606,12 @@ def _numbers(file: str, table: "pd.DataFrame", rover: Rover, *, placed: bool) ->
     }
 
 
-def _since_1970_s(file: str, dates: "pd.Series") -> "pd.Series":
-    """Dates as seconds since 1970, in UTC where they do not say. Raises DataError for what is none."""
+def _since_1970_s(dates: "pd.Series") -> "pd.Series":
+    """Dates as seconds since 1970, in UTC where they do not say; as they are where they are none."""
     import pandas as pd
 
-    try:
-        parsed = pd.to_datetime(dates, utc=True, format="ISO8601")
-    except ValueError as error:
-        text = "give dates as 2026-11-24T10:00:00Z, or seconds"
-        raise DataError(f"{file}, time_s: '{dates.iloc[0]}' is no date that can be read; {text}") from error
-    return (parsed - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
+    parsed = pd.to_datetime(dates, utc=True, format="ISO8601", errors="coerce")
+    return dates if parsed.isna().any() else (parsed - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
 
 
 def _telemetry(

@@ -9,6 +9,7 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
+from lunarsci.ranges import NOT_NEGATIVE, POSITIVE, check_each
 from lunarsci.twin.plans.path import all_commands, commands_at, fix_errors, make_schedule
 from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction
 
@@ -57,12 +58,8 @@ class SensorErrors:
     track_m: float = 0.00033
 
     def __post_init__(self) -> None:
-        for name in self.__slots__:
-            value, exact = getattr(self, name), not name.startswith("fix_")
-            if value is not None and not (0 < value < math.inf or (exact and value == 0)):
-                raise ParameterError(
-                    f"sensor error {name} is {value}; give {'0 or more' if exact else 'a number above 0'}"
-                )
+        ranges = {name: POSITIVE if name.startswith("fix_") else NOT_NEGATIVE for name in self.__slots__}
+        check_each("sensor error", self, ranges)
 
     @property
     def position_m(self) -> float:

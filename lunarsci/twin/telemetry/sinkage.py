@@ -15,7 +15,8 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError
 from lunarsci.io.inputs import InputFile
-from lunarsci.io.tables import numbers_of, read_csv_table
+from lunarsci.io.tables import check_columns, numbers_of, read_csv_table
+from lunarsci.ranges import refuse
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 from lunarsci.twin.telemetry.checks import LEAST_ROW_M
@@ -33,7 +34,7 @@ TIE_M = 0.0005
 
 EARLIER = 0.15
 """Share by which a wheel must be predicted deeper than those after it to be the deepest: ground that is loaded again
-sinks further than the prediction, which knows no ruts, says; assumed, 0.14 in drives by MuJoCo with such ruts."""
+sinks further than the prediction, which knows no ruts, says: by up to 0.14 in drives by MuJoCo with such ruts."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -78,22 +79,18 @@ class RutPoints:
 def read_track(source: InputFile) -> RutPoints:
     """Depths of a track from CSV: x_m, y_m, rut_m, and optionally rut_m_sigma. Raises DataError."""
     table = read_csv_table(source)
-    for name in ("x_m", "y_m", "rut_m"):
-        if name not in table:
-            near = [str(other) for other in table.columns if str(other).rpartition("_")[0] == name.rpartition("_")[0]]
-            hint = f"; there is {near[0]}: convert it" if near else f"; there are: {', '.join(map(str, table.columns))}"
-            raise DataError(f"{source.name}: no column {name}{hint}")
+    check_columns(
+        source.name, table.columns, ("x_m", "y_m", "rut_m", "rut_m_sigma", "synthetic"), ("x_m", "y_m", "rut_m")
+    )
     x, y, rut = (numbers_of(source.name, name, table[name]) for name in ("x_m", "y_m", "rut_m"))
     sigma = np.full(len(rut), SIGMA_M)
     if "rut_m_sigma" in table:
         given = numbers_of(source.name, "rut_m_sigma", table["rut_m_sigma"])
-        if (given < 0).any():
-            row = int(np.argmax(given < 0))
-            raise DataError(f"{source.name}, row {row + 1}, rut_m_sigma: {given[row]:g}; give 0 or more")
+        refuse(
+            ["an error is below 0; give 0 or more"] * bool((given < 0).any()), f"{source.name}, rut_m_sigma", DataError
+        )
         sigma = np.where(np.isfinite(given), given, SIGMA_M)
     whole = np.isfinite(x) & np.isfinite(y) & np.isfinite(rut)
-    if not whole.any():
-        raise DataError(f"{source.name}: no row has x_m, y_m and rut_m")
     return RutPoints(place_m=np.column_stack([x, y])[whole], rut_m=rut[whole], sigma_m=sigma[whole])
 
 
@@ -101,15 +98,13 @@ def rut_points(before: Terrain, after: Terrain, places_m: FloatArray, reach_m: f
     """Depths where wheels stood, from the ground before less that after the drive; NaN heights are left out.
 
     Places (m, 2) are each compared at a grid of points within the distance. The error of a point is `SIGMA_M`; where
-    the two maps scatter more, `RutPoints.depth_at` adds it. Raises DataError where the maps have nothing in common.
+    the two maps scatter more, `RutPoints.depth_at` adds it.
     """
     steps = np.linspace(-0.7 * reach_m, 0.7 * reach_m, GRID)
     around = np.column_stack([part.ravel() for part in np.meshgrid(steps, steps)])
     points = (places_m[:, None] + around).reshape(-1, 2)
     rut = before.height_at(*points.T) - after.height_at(*points.T)
     given = np.isfinite(rut)
-    if not given.any():
-        raise DataError(f"{after.name}: no height below any wheel; is it the ground of this drive?")
     return RutPoints(place_m=points[given], rut_m=rut[given], sigma_m=np.full(int(given.sum()), SIGMA_M))
 
 
@@ -240,10 +235,10 @@ def _without_holes(values: FloatArray) -> FloatArray:
 def _check_along(drive: DriveStates, points: RutPoints, depth: FloatArray, given: BoolArray) -> None:
     met = float(np.isfinite(depth[given]).mean()) if given.any() else 0.0
     if met == 0:
+        x, y = np.median(points.place_m, axis=0) if len(points.place_m) else (math.nan, math.nan)
         raise DataError(
-            "the track has no point within half a wheel's width of a wheel; it lies about x "
-            f"{np.median(points.place_m[:, 0]):.4g} m, y {np.median(points.place_m[:, 1]):.4g} m: is it of this "
-            "drive, in its frame, in m?"
+            f"the track has no point within half a wheel's width of a wheel; it lies about x {x:.4g} m, y {y:.4g} m: "
+            "is it of this drive, in its frame, in m?"
         )
     if met < ALONG:
         reach, apart = 0.5 * drive.rover.wheel.width_m, points.apart_m

@@ -49,7 +49,8 @@ their errors at most, as measured by `tests/benchmarks/telemetry_constants.py`. 
 AMPLITUDES = (0.0007, 0.0017, 0.004, 0.01, 0.025, 0.06, 0.15, 0.4)
 """Candidates for the changing parts of ahead and left, as measured; times `SHARES`, the last in 1/m."""
 SHARES = np.array([1.0, 1.0, 0.3])
-"""How much less turns change than slip and side slip, by which amplitudes are multiplied; assumed."""
+"""How much less turns change than slip and side slip, by which amplitudes are multiplied. Half or twice as much moves
+slips by 0.14 of their errors at most, as measured."""
 LEAST, UNEXPLAINED, STEP_M = 0.0005, 0.15, 0.5
 """What is believed of the amplitude beforehand: so much, and such a share of what slopes are thought to change over so
 long a way. As measured: linear effects of slopes leave 0.02 to 0.15 of it in drives by the twin and by MuJoCo with
@@ -57,7 +58,7 @@ stress integrals, and 0.2 to 0.5, or more sideways, where the soil changes too."
 UNKNOWN = 0.02
 """The same where the slopes are not known; assumed."""
 WIDTH = 1.7
-"""How widely it is believed, in ln; assumed."""
+"""How widely it is believed, in ln. Half or twice as much moves slips by 0.3 of their errors at most, as measured."""
 WALKS, WALK_ODDS = (0.0, 0.02, 0.045, 0.08), (0.16, 0.28, 0.28, 0.28)
 """Candidates for how the error that positions share grows, and how probable each is beforehand: visual odometry walks
 by some centimetres a root metre; assumed. [m / sqrt(m)]"""
@@ -291,10 +292,8 @@ def smooth(
     priors : of the constants; None takes the plain ones, and errors that are normal.
     start : what the model is first linearised about; None takes dead reckoning.
 
-    Raises DataError for fewer than two positions, or where the numbers do not hold.
+    Raises DataError where the numbers do not hold.
     """
-    if nodes.fixed.sum() < 2:
-        raise DataError("fewer than two positions of use; slip needs two or more")
     robust, priors = priors is not None, priors or Priors.plain(nodes)
     try:
         reference = start or ReferenceMotion.first(nodes)
@@ -310,7 +309,7 @@ def smooth(
     except np.linalg.LinAlgError as error:
         raise DataError("the motion cannot be found: errors of positions or headings are absurd") from error
     off, spread = _residuals(nodes, reference, state, covariance)
-    squared, chi_square, count = _squared_distances(nodes, off, spread, reference.fix_weight)
+    squared, yaw_squared = _distances(nodes, reference, off, spread)
     return Smoothed(
         state=state,
         covariance=covariance,
@@ -319,10 +318,10 @@ def smooth(
         bend=at_nodes(nodes.bend),
         change=change,
         squared_distance=squared,
-        yaw_squared_distance=_yaw_squared_distances(nodes, off, spread, reference.yaw_weight),
+        yaw_squared_distance=yaw_squared,
         fix_weight=reference.fix_weight,
         yaw_weight=reference.yaw_weight,
-        reduced_chi_square=chi_square / max(count, 1),
+        reduced_chi_square=_reduced_chi_square(nodes, reference.fix_weight, off, spread),
         posterior=posterior,
     )
 
@@ -378,8 +377,7 @@ def _without_far_ones(nodes: Nodes, reference: ReferenceMotion, priors: Priors) 
         reference = replace(reference, fix_weight=fix_weight, yaw_weight=yaw_weight)
         state, covariance, constants = _about(nodes, reference, SlipProcess.coarse(), priors)
         off, spread = _residuals(nodes, reference, state, covariance)
-        fixes = np.nan_to_num(_squared_distances(nodes, off, spread, fix_weight)[0])
-        headings = np.nan_to_num(_yaw_squared_distances(nodes, off, spread, yaw_weight))
+        fixes, headings = (np.nan_to_num(one) for one in _distances(nodes, reference, off, spread))
         fixes[fix_weight < 1.0], headings[yaw_weight < 1.0] = 0.0, 0.0
         reference = replace(reference, state=state[:, :SIZE], constants=constants)
         if max(fixes.max(), headings.max()) < FAR:
@@ -447,29 +445,45 @@ def _averaged(
     return mean, covariance, Posterior(mean[-1, SIZE:], covariance[-1, SIZE:, SIZE:], ln_likelihood, held)
 
 
-def _yaw_squared_distances(nodes: Nodes, off: FloatArray, spread: FloatArray, weight: FloatArray) -> FloatArray:
-    """The same of headings. (n,)"""
-    errors = nodes.yaw_sigma_rad**2
-    counted = errors / weight
-    left = np.maximum(counted - spread[:, 2, 2], 1e-3 * counted)
-    # Without the heading itself it is off by more, from a motion that is less well known.
-    return np.asarray((off[:, 2] * counted / left) ** 2 / (errors + counted**2 / left - counted))
+def _squared_distances(errors: FloatArray, weight: FloatArray, off: FloatArray, spread: FloatArray) -> FloatArray:
+    """Mahalanobis distance squared of measurements from what all others say of them. (n,)
+
+    Parameters
+    ----------
+    errors : covariances as stated, which `weight` divides. (n, d, d), (n,)
+    off, spread : residuals, and how well it is known where measurements should be. (n, d), (n, d, d)
+    """
+    counted = errors / weight[:, None, None]
+    value, axes = np.linalg.eigh(counted - spread)
+    # Without the measurement itself it is off by more, from a motion that is less well known.
+    gain = (
+        counted
+        @ (axes / np.maximum(value, 1e-6 * np.trace(errors, axis1=1, axis2=2)[:, None])[:, None])
+        @ np.swapaxes(axes, 1, 2)
+    )
+    alone = gain @ off[..., None]
+    return np.asarray((alone * np.linalg.solve(errors + gain @ counted - counted, alone)).sum(axis=(1, 2)))
 
 
-def _squared_distances(
-    nodes: Nodes, off: FloatArray, spread: FloatArray, weight: FloatArray
-) -> tuple[FloatArray, float, int]:
-    """Mahalanobis distance squared of each position from what all others say of it; chi-square, and its freedom."""
-    squared_distance = np.full(len(nodes.time_s), np.nan)
-    chi_square, count = 0.0, 0.0
-    for k in np.flatnonzero(nodes.fixed):
-        errors, apart = nodes.fix_covariance_m2[k], off[k, :2]
-        counted = errors / weight[k]
-        left = counted - spread[k, :2, :2]
-        value, axes = np.linalg.eigh(left)
-        inverse = axes @ np.diag(1.0 / np.maximum(value, 1e-6 * np.trace(errors))) @ axes.T
-        alone, elsewhere = counted @ inverse @ apart, counted @ inverse @ counted - counted
-        squared_distance[k] = float(alone @ np.linalg.solve(errors + elsewhere, alone))
-        chi_square += float(apart @ np.linalg.solve(counted, apart))
-        count += float(np.trace(np.linalg.solve(counted, left)))
-    return squared_distance, chi_square, max(round(count), 1)
+def _distances(
+    nodes: Nodes, reference: ReferenceMotion, off: FloatArray, spread: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Those of positions and of headings, NaN where there is none. (n,), (n,)"""
+    fixes, headings = np.full((2, len(off)), np.nan)
+    fixed, given = nodes.fixed, np.isfinite(nodes.yaw_rad)
+    fixes[fixed] = _squared_distances(
+        nodes.fix_covariance_m2[fixed], reference.fix_weight[fixed], off[fixed, :2], spread[fixed, :2, :2]
+    )
+    headings[given] = _squared_distances(
+        nodes.yaw_sigma_rad[given, None, None] ** 2, reference.yaw_weight[given], off[given, 2:], spread[given, 2:, 2:]
+    )
+    return fixes, headings
+
+
+def _reduced_chi_square(nodes: Nodes, weight: FloatArray, off: FloatArray, spread: FloatArray) -> float:
+    """Of the positions."""
+    fixed = nodes.fixed
+    counted = nodes.fix_covariance_m2[fixed] / weight[fixed, None, None]
+    chi_square = (off[fixed, :2] * np.linalg.solve(counted, off[fixed, :2, None])[..., 0]).sum()
+    freedom = 2.0 * fixed.sum() - np.trace(np.linalg.solve(counted, spread[fixed, :2, :2]), axis1=1, axis2=2).sum()
+    return float(chi_square / max(round(float(freedom)), 1))

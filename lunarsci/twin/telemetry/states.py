@@ -41,6 +41,7 @@ from lunarsci.twin.telemetry.checks import (
 )
 from lunarsci.twin.telemetry.filter import LAG, LEVER, LINEAR_S, MOST_PARTS, SCALE, Nodes, lag_of_turns, linearised
 from lunarsci.twin.telemetry.hypotheses import (
+    FINEST_M,
     FREEDOM,
     MOTION,
     REPORTED,
@@ -62,7 +63,7 @@ from lunarsci.twin.telemetry.nodes import (
     within,
 )
 from lunarsci.twin.telemetry.reading import LEAST_ROW_M, OBEYED, SHARED, STILL, SURE, Findings, Positions, Telemetry
-from lunarsci.twin.telemetry.smoother import FAR, MEDIAN_OF_TWO, SlipProcess, Smoothed, smooth
+from lunarsci.twin.telemetry.smoother import FAR, SlipProcess, Smoothed, smooth
 from lunarsci.twin.telemetry.wheel_motion import (
     WheelMotion,
     body_twist,
@@ -79,9 +80,6 @@ HARDLY = (FREEDOM + 2.0) / (FREEDOM + FAR)
 """Weight below which, beside the best one, a position or a heading is said to be left out: that of `FAR`."""
 MOST_LEFT_OUT = 0.2
 """Share of the positions left out beyond which the result is in doubt; assumed."""
-LEAST_SCATTER, FINEST_M = 0.05, 5e-4
-"""Median square of what positions are off by over that of their errors, and a standard error [m], below which their
-errors are not believed; assumed."""
 LATE = next(one for one in MOTION if one.name == "lag")
 MOST_LAGS = 3
 """Times that a lag is put back and looked for again."""
@@ -321,14 +319,9 @@ def say_left_out(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
     what = f"{odd.sum()} of {given.sum()} headings fit no motion of the wheels"
     findings.of_rows("odd heading", what, "they hardly count", odd, nodes.time_s, doubt=many)
     sigma = float(np.median(np.sqrt(np.trace(nodes.fix_covariance_m2[nodes.fixed], axis1=1, axis2=2) / 2.0)))
-    if sigma < FINEST_M:
+    if sigma < 0.5 * FINEST_M:
         what = f"positions claim errors of {1e3 * sigma:.2g} mm, which no localisation of a rover reaches"
         findings.add("errors too small", what, "kept; are they in another unit?", doubt=True)
-    # What all positions are off by does not make them scatter: of errors that they share a small scatter is none.
-    scatter = float(np.nanmedian(smoothed.squared_distance)) / MEDIAN_OF_TWO
-    if scatter < LEAST_SCATTER and sigma >= FINEST_M and nodes.chain is None and nodes.fixed.sum() > 5:
-        what = f"positions scatter {scatter:.2g} times as much as their errors of {sigma:.3g} m say"
-        findings.add("errors too large", what, "kept; are they in another unit?")
     left, fixes = np.flatnonzero(_left_out(smoothed, nodes)), np.flatnonzero(nodes.fixed)
     if not left.size:
         return

