@@ -22,7 +22,8 @@ MODULES = (reading, hypotheses, wheel_motion, motion_filter, smoother, nodes, st
 TRIED = {
     "START_M": (10.0,), "START_RAD": (10.0,), "POSITION_M_PER_STEP": (0.5, 2.0), "TURN_PER_STEP": (0.5, 2.0),
     "AGREEMENT": (0.5, 2.0), "LEAST_EFFECT": (0.5, 2.0), "BLOCK_M": (0.5, 2.0),
-    "LOOSE_M": (0.5, 2.0), "BEND_M": (0.5, 2.0), "LINEAR_S": (0.5, 2.0), "UNKNOWN": (0.5, 2.0), "WIDTH": (0.5, 2.0),
+    "LOOSE_M": (0.5, 2.0), "BEND_M": (0.5, 2.0), "LINEAR_S": (0.5, 2.0), "STILL": (0.5, 2.0), "UNDER_WAY": (0.5, 2.0),
+    "SIGMA_DEG": (0.5, 2.0), "RATE_SHARE": (0.5, 2.0), "OBEYED": (0.5, 2.0), "WIDTH": (0.5, 2.0),
     "SHARES": (0.5, 2.0), "LEAST_LOAD": (0.5, 2.0), "STIFFNESSES": (2.0,), "AMPLITUDES": (2.0,), "LENGTHS_M": (2.0,),
 }  # fmt: skip
 

@@ -21,7 +21,7 @@ from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact import VALID_SLIP
 from lunarsci.twin.simulation.prescribed_motion import PrescribedLoads
-from lunarsci.twin.telemetry.hypotheses import LN_ODDS, chance_by_noise, held
+from lunarsci.twin.telemetry.hypotheses import LN_ODDS, REPORTED, chance_by_noise, held
 from lunarsci.twin.telemetry.nodes import Rows
 from lunarsci.twin.telemetry.reading import LEAST_ROW_M, OBEYED, STILL, SURE, UNDER_WAY, Findings, Positions, Telemetry
 from lunarsci.twin.telemetry.wheel_motion import PACE, mean_speed
@@ -38,12 +38,9 @@ STEERING_DEG = STEERED_DEG * math.sqrt(
 FEWEST_RATES = 5
 AGAINST_PLAN = "wheels against plan"
 """Kind of the finding; a soil is found with a plan of its own, so that it does not stay with the states."""
-SOME, MOST = 0.01, 0.4
-"""Share of the way that may be off unsaid; beyond which it is another plan; and that must lie within the plan;
-assumed."""
 STEP_M, MOST_TRIED = 0.05, 500
-"""Step between the ways tried, by which the way differs where the plan is right, and number of them, and of rows;
-assumed. [m]"""
+"""Step between the ways tried, by which the way differs where the plan is right, and up to which other commands are
+unsaid; number of them, and of rows; assumed. [m]"""
 HALT = "unplanned halt"
 """Kind of a finding: states are right, and a soil learned with the plan is not."""
 START_M, HEADING_DEG = 0.5, 10.0
@@ -318,9 +315,9 @@ def by_the_plan(sent: Rows, rover: Rover, schedule: Schedule, findings: Findings
     findings.entries[:] = [
         one if one.time_s is None else replace(one, time_s=one.time_s - late_s) for one in findings.entries
     ]
-    halts = beside.halts() if beside.share_off <= MOST else ()
+    halts = beside.halts() if beside.share_off <= REPORTED else ()
     _say_halts(halts, schedule, findings)
-    as_planned = beside.share_off <= SOME or not _say_commands(beside, findings)
+    as_planned = beside.off_m <= STEP_M or not _say_commands(beside, findings)
     return _later(sent, late_s), as_planned, sum(halt.longer_s for halt in halts)
 
 
@@ -414,7 +411,7 @@ class _Beside:
     offset_m : of the way of the rows behind that of the plan, as it fits best.
     planned_s, late_s : when the plan has each row, and by how much the row is later at the drive's pace. (n,) [s]
     off : rows whose commands are not the plan's; `inside` are rows within the plan. (n,), (n,)
-    share_off : of the way; 1 where too little of it lies within the plan.
+    off_m, share_off : way with other commands [m], and its share; 1 where too little lies within the plan.
     """
 
     def __init__(self, sent: _AlongWay, plan: _AlongWay, schedule: Schedule, rover: Rover) -> None:
@@ -446,8 +443,9 @@ class _Beside:
         self.planned_s = np.interp(way + self.offset_m, plan.way_m, plan.time_s)
         self.late_s = sent.time_s - self.planned_s / faster
         within = float(length[self.inside].sum())
-        short = within < (1.0 - MOST) * min(float(length.sum()), end)
-        self.share_off = 1.0 if short else float((length * self.off.any(axis=1))[self.inside].sum()) / within
+        short = within < REPORTED * min(float(length.sum()), end)
+        self.off_m = float((length * self.off.any(axis=1))[self.inside].sum())
+        self.share_off = 1.0 if short else self.off_m / within
 
     @classmethod
     def of(cls, sent: Rows, rover: Rover, schedule: Schedule) -> "_Beside | None":
@@ -533,7 +531,7 @@ def _remedy(halt: _Halt, schedule: Schedule) -> str:
 def _say_clock(telemetry: Telemetry, beside: _Beside, findings: Findings) -> float:
     """By how much the clock is later than the plan's, said; 0 where it is not. [s]"""
     rows = beside.late_s[beside.inside]
-    if beside.share_off > MOST or not rows.size:
+    if beside.share_off > REPORTED or not rows.size:
         return 0.0
     # Until the first halt that one of them has alone.
     late = float(np.median(rows[: 1 + int(np.argmax(np.append(np.abs(np.diff(rows)) > EDGE_S, True)))]))
@@ -557,7 +555,7 @@ def _say_commands(beside: _Beside, findings: Findings) -> bool:
     if not doubt:
         text += ", all of them at its start"
         done = "the telemetry's are taken; the plan begins as steered as its first leg is, the rover was not yet"
-    elif beside.share_off > MOST:
+    elif beside.share_off > REPORTED:
         done += ", and its `rover`"
     else:
         done += " (`blend_m` is half before a join of arcs, half behind)"

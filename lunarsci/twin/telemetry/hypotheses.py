@@ -53,7 +53,8 @@ another scale where they differ from commands, as a motor that is controlled tur
 or axis, or in one that fits whatever is there; a channel is sent again. Of a step: a reading says nothing of it, the
 clock jumps. Of the plan: the clock is another one, and of each metre commands are others."""
 DECISIVE = math.log(20.0)
-"""ln of the odds of a hypothesis against any other from which columns are converted; assumed."""
+"""ln of the odds of a hypothesis against any other from which columns are converted: strong evidence (Kass & Raftery
+1995, 10.1080/01621459.1995.10476572)."""
 REPORTED = 0.5
 """Probability from which on a hypothesis is reported: it is more probable than not."""
 FREEDOM = 4.0
@@ -476,7 +477,7 @@ SLIDE = Hypothesis(
     "frame from then on",
     done="the motion holds it, and slips are found on either side",
 )
-"""The same of each halt and jump; assumed."""
+"""The same of each halt and jump."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

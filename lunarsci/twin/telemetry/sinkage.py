@@ -20,6 +20,7 @@ from lunarsci.ranges import refuse
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 from lunarsci.twin.telemetry.checks import LEAST_ROW_M
+from lunarsci.twin.telemetry.hypotheses import REPORTED
 from lunarsci.twin.telemetry.reading import SURE
 from lunarsci.twin.telemetry.simulated import deepest_at
 from lunarsci.twin.telemetry.states import MOST_LEFT_OUT, DriveStates, StateRows
@@ -29,8 +30,9 @@ SIGMA_M = 0.00033
 10.1038/s41467-024-46233-8. [m]"""
 GRID = 5
 """Places across a footprint at which two terrains are compared, each way."""
-TIE_M = 0.0005
-"""Predicted sinkages that differ by less do not say which wheel is the deepest: it is the last then; assumed. [m]"""
+TIE_M = math.sqrt(2.0) * SIGMA_M
+"""Predicted sinkages that differ by less, the error of two depths, do not say which wheel is the deepest: it is the
+last then. [m]"""
 
 EARLIER = 0.15
 """Share by which a wheel must be predicted deeper than those after it to be the deepest: ground that is loaded again
@@ -152,10 +154,6 @@ def is_table_of_ruts(source: InputFile) -> bool:
     return "height_m" not in read_csv_table(source)
 
 
-ALONG = 0.5
-"""Share of the states that a track must meet; below it is not the track of this drive; assumed."""
-
-
 def with_sinkage(drive: DriveStates, track: RutPoints | Terrain, before: Terrain) -> DriveStates:
     """The states with sinkages from depths along the track, or from the ground after the drive.
 
@@ -240,11 +238,11 @@ def _check_along(drive: DriveStates, points: RutPoints, depth: FloatArray, given
             f"the track has no point within half a wheel's width of a wheel; it lies about x {x:.4g} m, y {y:.4g} m: "
             "is it of this drive, in its frame, in m?"
         )
-    if met < ALONG:
+    if met < REPORTED:
         reach, apart = 0.5 * drive.rover.wheel.width_m, points.apart_m
         why = "short, or not along this drive"
         if apart > 2.0 * reach:
             why = f"sparse, its points lie {apart:.2g} m apart; give them every {reach:.2g} m or closer"
         need = f"which need points within {reach:.2g} m of a wheel"
         what = f"the track meets {100 * met:.0f} % of the states, {need}: it is {why}"
-        drive.findings.add("track apart", what, "sinkage is blank elsewhere", doubt=met < 0.5 * ALONG)
+        drive.findings.add("track apart", what, "sinkage is blank elsewhere", doubt=met < 0.5 * REPORTED)

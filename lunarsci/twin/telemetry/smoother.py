@@ -33,8 +33,10 @@ from lunarsci.twin.telemetry.filter import (
     smoothed_back,
 )
 from lunarsci.twin.telemetry.hypotheses import (
+    DECISIVE,
     EFFECT_MEAN,
     FREEDOM,
+    LN_ODDS,
     MEAN_SIGMA,
     Posterior,
     Priors,
@@ -55,8 +57,6 @@ LEAST, UNEXPLAINED, STEP_M = 0.0005, 0.15, 0.5
 """What is believed of the amplitude beforehand: so much, and such a share of what slopes are thought to change over so
 long a way. As measured: linear effects of slopes leave 0.02 to 0.15 of it in drives by the twin and by MuJoCo with
 stress integrals, and 0.2 to 0.5, or more sideways, where the soil changes too."""
-UNKNOWN = 0.02
-"""The same where the slopes are not known; assumed."""
 WIDTH = 1.7
 """How widely it is believed, in ln. Half or twice as much moves slips by 0.3 of their errors at most, as measured."""
 WALKS, WALK_ODDS = (0.0, 0.02, 0.045, 0.08), (0.16, 0.28, 0.28, 0.28)
@@ -69,8 +69,8 @@ ORDER = (2, 1, 0)
 DRAWN = 12
 STRIDES = (1, 5, 7, 11)
 """By which the draws of the three deviations and the walk are mixed: without a common divisor with `DRAWN`."""
-FAR = 20.0
-"""Mahalanobis distance squared from which on a measurement is looked at alone, once in 22 000 by chance; assumed."""
+FAR = 2.0 * (DECISIVE - LN_ODDS["reading"])
+"""Mahalanobis distance squared from which on a measurement decisively says nothing, and is looked at alone."""
 MEDIAN_OF_TWO = 2.0 * math.log(2.0)
 """Median of chi-square with two degrees of freedom."""
 ROUNDS = 4
@@ -197,9 +197,7 @@ def change_of(nodes: Nodes, priors: Priors | None = None, reference: ReferenceMo
 
 def _believed(nodes: Nodes) -> FloatArray:
     """Amplitudes believed beforehand: ahead, left, and turn, for which slopes do little. (3,)"""
-    if nodes.effect is None:
-        return UNKNOWN * SHARES
-    effect = nodes.effect[:, :2] @ np.array(EFFECT_MEAN)
+    effect = nodes.effects[:, :2] @ np.array(EFFECT_MEAN)
     way = np.append(0.0, np.cumsum(nodes.way_m))
     later = np.column_stack([np.interp(way + STEP_M, way, column) for column in effect.T])
     ahead, left = LEAST + UNEXPLAINED * np.sqrt(((later - effect) ** 2).mean(axis=0))
