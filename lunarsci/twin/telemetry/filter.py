@@ -41,7 +41,8 @@ START_M, START_RAD = 10.0, 1.0
 """Of a rover whose place is not known yet, in position and heading: so wide that ten times as much moves no slip, as
 measured by `tests/benchmarks/telemetry_constants.py`."""
 LOOSE_M = 1.0
-"""Lever by which an error of the way over a gap becomes one of the heading; assumed. [m]"""
+"""Lever by which an error of the way over a gap becomes one of the heading. Half or twice as much moves slips by 0.05
+of their errors at most, as measured. [m]"""
 POSITION_M_PER_STEP = 2e-4
 """What each step may be off by whatever the wheels do; half or twice as much moves no slip, as measured. [m]"""
 TURN_PER_STEP = 0.03
@@ -49,7 +50,7 @@ TURN_PER_STEP = 0.03
 much moves slips by 0.04 of their errors at most, as measured."""
 BEND_M = 5.0
 """Radius of the turn in which slip makes the turn deviate as much again as on a straight way. Half or twice as much
-moves slips by 0.14 of their errors at most, as measured. [m]"""
+moves slips by 0.16 of their errors at most, as measured. [m]"""
 LINEAR_S = 0.5
 """Lag up to which the motion is linear in one; a longer one is put back, and what is left found anew. Half or twice as
 much moves no slip, as measured. [s]"""

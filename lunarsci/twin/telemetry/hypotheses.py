@@ -44,14 +44,15 @@ from lunarsci.twin.telemetry.reading import (
 LN_ODDS = {
     name: math.log(odds)
     for name, odds in {
-        "motion": 0.1, "encoders": 3.0, "units": 1e-6, "anything": 1e-9, "repeats": 1e-4, "reading": 0.01,
+        "motion": 0.1, "encoders": 3.0, "units": 1e-6, "anything": 1e-9, "failure": 1e-4, "reading": 0.01,
         "clock step": 1e-4, "clock offset": 1e-3, "commands": 1e-7,
     }.items()
 }  # fmt: skip
 """ln of the odds of each kind of hypothesis beforehand; assumed. A constant of the motion is far from 0; encoders have
 another scale where they differ from commands, as a motor that is controlled turns as told; columns are in another unit
-or axis, or in one that fits whatever is there; a channel is sent again. Of a step: a reading says nothing of it, the
-clock jumps. Of the plan: the clock is another one, and of each metre commands are others."""
+or axis, or in one that fits whatever is there; a channel is only sent again, or a position or heading is wrong
+altogether. Of a step: a reading says nothing of it, the clock jumps. Of the plan: the clock is another one, and of each
+metre commands are others."""
 DECISIVE = math.log(20.0)
 """ln of the odds of a hypothesis against any other from which columns are converted: strong evidence (Kass & Raftery
 1995, 10.1080/01621459.1995.10476572)."""
@@ -621,7 +622,7 @@ def held(values: FloatArray, chance: float, expected: FloatArray, sigma: float) 
     repeats = np.diff(np.append(begins, len(values))) - 1
     change = np.maximum.reduceat(expected, begins) - np.minimum.reduceat(expected, begins)
     # A channel that is sent more often than it is read repeats throughout.
-    ln_held = max(LN_ODDS["repeats"], math.log(max(repeats.sum() / len(values) - SURE * chance, 1e-300)))
+    ln_held = max(LN_ODDS["failure"], math.log(max(repeats.sum() / len(values) - SURE * chance, 1e-300)))
     ln_odds = ln_held - repeats * math.log(chance) + 0.5 * change**2 / (sigma**2 + (OBEYED * change) ** 2)
     result = np.repeat((ln_odds > 0) & (repeats > 0), repeats + 1)
     result[begins] = False

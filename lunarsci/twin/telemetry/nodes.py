@@ -29,7 +29,7 @@ from lunarsci.twin.telemetry.wheel_motion import (
 NODE_M = 0.1
 """Way between the moments at which the motion is found. [m]"""
 SAME_S = 1e-3
-"""Times that differ by less are one; assumed. [s]"""
+"""Times that differ by less are one. Half or twice as much moves no slip, as measured. [s]"""
 MOST_NODES = 30_000
 """That are smoothed at once: 3 km without positions. `tests/benchmarks/load.py` tells their memory."""
 STIFFNESSES = (0.1, 0.17, 0.28, 0.48, 0.8)

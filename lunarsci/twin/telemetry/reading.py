@@ -60,7 +60,8 @@ UNIT = re.compile(rf"_({'|'.join([*UNITS, *(unit for others in UNITS.values() fo
 PLACES = ("x_m", "y_m", *ERRORS, "sigma_m")
 OF_A_WHEEL = (("angle_{}_deg", "rate_{}_deg_s", "speed_{}_m_s"), ("steered_{}_deg", "steering_{}_deg"))
 """Of each of these every wheel needs one: how it turned, and how it was steered."""
-_ENDS = {"f": "F", "front": "F", "m": "M", "mid": "M", "middle": "M", "center": "M", "centre": "M"}
+_ENDS = {"f": "F", "front": "F", "r": "R", "rear": "R", "b": "R", "back": "R"}
+_ENDS |= dict.fromkeys(("m", "mid", "middle", "center", "centre"), "M")
 _SIDES = {"l": "L", "left": "L", "r": "R", "right": "R"}
 _COVARIANCES = {"0": "xx_m2", "1": "xy_m2", "7": "yy_m2", "35": "yaw_variance"}
 _STAMPS = {"time", "__time", "timestamp", "stamp", "rosbagtimestamp"}
@@ -97,11 +98,13 @@ SHARED = ("xx_before_m2", "xy_before_m2", "yx_before_m2", "yy_before_m2")
 """Covariance of x and y of a position with x and y of the one in the row before."""
 POSITION_COLUMNS = ("time_s", "x_m", "y_m", "z_m", "yaw_deg", "sigma_m", *ERRORS, *SHARED, "synthetic")
 SIGMA_DEG, RATE_SHARE = 1.0, 0.1
-"""Standard errors of turns between rows, of all [deg] and of rates as a share; assumed. Of commands it is `OBEYED`."""
+"""Standard errors of turns between rows, of all [deg] and of rates as a share; of commands it is `OBEYED`. Half or
+twice as much moves no slip, as measured; where readings fail they weigh which ones do."""
 TURNED_DEG = 3.0 * SIGMA_DEG
 """Turn of a wheel up to which it stands: three standard errors, 8 mm of way. [deg]"""
 UNDER_WAY = 0.3
-"""Share of the highest speed from which a wheel counts as under way; assumed."""
+"""Share of the highest speed from which a wheel counts as under way. Half or twice as much moves slips by 0.05 of their
+errors at most, as measured."""
 LEAST_ROW_M = 0.3
 """Way between rows of states where positions are denser, and within which standstills are one halt, assumed: a rover's
 slip does not change faster. [m]"""
@@ -128,11 +131,7 @@ def check_telemetry_columns(file: str, names: list[str], rover: Rover, *, placed
     Positions are needed where they do not come from elsewhere (`placed`).
     """
     wheels = sorted({match[1] for name in names if (match := WHEEL.fullmatch(name))})
-    if others := [wheel for wheel in wheels if wheel not in rover.wheels]:
-        raise DataError(
-            f"{file}: '{others[0]}' is no wheel of {rover.name}, which has {', '.join(rover.wheels)}; give the right "
-            "one as `rover`"
-        )
+    others = [wheel for wheel in wheels if wheel not in rover.wheels]
     missing = [
         f"{name}{_guess(name, names)}" for name in NEEDED if name not in names and (placed or name not in PLACES)
     ]
@@ -143,20 +142,17 @@ def check_telemetry_columns(file: str, names: list[str], rover: Rover, *, placed
             if len(without) == len(rover.wheels):
                 which, guess = "each wheel W", _guess(forms[0].format(without[0]), names)
             missing.append(f"{' or '.join(form.format('W') for form in forms)} of {which}{guess}")
-    if missing:
-        raise DataError(
-            f"{file}: columns are missing: {', '.join(missing)}; steered_W_deg is 0 for wheels that stay straight; "
-            "`lunarsci template telemetry` has all; or give the `rover` that has these wheels"
-        )
+    if others or missing:
+        wheel = f"'{', '.join(others[:1])}' is no wheel of {rover.name}, which has {', '.join(rover.wheels)}"
+        columns = f"columns are missing: {', '.join(missing)}; steered_W_deg is 0 for wheels that stay straight"
+        hint = "`lunarsci template telemetry` has all; or give the `rover` that has these wheels"
+        raise DataError(f"{file}: {wheel if others else columns}; {hint}")
 
 
 def _guess(needed: str, names: list[str]) -> str:
     bare = UNIT.sub("", needed)
     other = [name for name in names if UNIT.sub("", name) == bare] or difflib.get_close_matches(needed, names, 1, 0.75)
     return f" ({other[0]}?)" if other else ""
-
-
-_ENDS |= {"r": "R", "rear": "R", "b": "R", "back": "R"}
 
 
 def meaning_of(name: str) -> str:
@@ -586,7 +582,8 @@ def read_telemetry(
         findings.add("infinite values", f"{name} is infinite", "taken as blank", count=count)
     if not rows.read:
         first, last = max(span_s[0], begin), span_s[1]
-        raise DataError(f"{source.name}: no rows between time_s {first:.12g} and {last:.12g}; give others")
+        where = f" between time_s {first:.12g} and {last:.12g}; give others" if math.isfinite(first) else ""
+        raise DataError(f"{source.name}: no rows{where or '; check how it was made or downloaded'}")
     return _telemetry(source.name, rows, rover, findings, synthetic=synthetic, start_s=start_s or 0.0)
 
 
@@ -657,7 +654,7 @@ def _covariance(values: dict[str, FloatArray]) -> FloatArray:
 
 
 def tables_of(stream: InputStream, findings: Findings) -> "Iterator[pd.DataFrame]":
-    """The rows of a table in pieces, by the ending of its file, numbered through. Raises DataError, also for no row."""
+    """The rows of a table in pieces, by the ending of its file, numbered through. Raises DataError."""
 
     def without_cut(cut: bytes, number: int) -> bytes:
         what = f"line {number} has no end ('{cut[-20:].decode(errors='replace')}'): the file may be cut there"
@@ -675,8 +672,6 @@ def tables_of(stream: InputStream, findings: Findings) -> "Iterator[pd.DataFrame
     for table in (from_ros(stream.name, one) for one in tables):
         yield table.set_axis(range(rows, rows + len(table)))
         rows += len(table)
-    if not rows:
-        raise DataError(f"{stream.name}: no rows; check how it was made or downloaded")
 
 
 def _read_ecsv(source: InputFile) -> "pd.DataFrame":

@@ -33,7 +33,6 @@ from lunarsci.twin.telemetry.filter import (
     smoothed_back,
 )
 from lunarsci.twin.telemetry.hypotheses import (
-    DECISIVE,
     EFFECT_MEAN,
     FREEDOM,
     LN_ODDS,
@@ -69,8 +68,9 @@ ORDER = (2, 1, 0)
 DRAWN = 12
 STRIDES = (1, 5, 7, 11)
 """By which the draws of the three deviations and the walk are mixed: without a common divisor with `DRAWN`."""
-FAR = 2.0 * (DECISIVE - LN_ODDS["reading"])
-"""Mahalanobis distance squared from which on a measurement decisively says nothing, and is looked at alone."""
+FAR = -2.0 * LN_ODDS["failure"]
+"""Mahalanobis distance squared from which on a position or a heading is more probably wrong altogether, and is looked at
+alone."""
 MEDIAN_OF_TWO = 2.0 * math.log(2.0)
 """Median of chi-square with two degrees of freedom."""
 ROUNDS = 4
@@ -225,8 +225,6 @@ class Smoothed:
     state, covariance : mean and covariance of the state and, behind it, of the constants. (n, 11 + k), ...
     effect, heads, bend : `Nodes.effects`, and `Nodes.heads` and `Nodes.bend` at the nodes. (n, 3, 5), (n,), (n,)
     change : how fast the deviations ahead, left and turn change.
-    squared_distance : Mahalanobis distance squared of each position from where all else puts it, else NaN. (n,)
-    yaw_squared_distance : the same of each heading. (n,)
     fix_weight, yaw_weight : how much each position and heading counts, 1 for one that is as good as it says. (n,)
     reduced_chi_square : of the positions.
     posterior : of the constants.
@@ -238,8 +236,6 @@ class Smoothed:
     heads: FloatArray
     bend: FloatArray
     change: SlipProcess
-    squared_distance: FloatArray
-    yaw_squared_distance: FloatArray
     fix_weight: FloatArray
     yaw_weight: FloatArray
     reduced_chi_square: float
@@ -307,7 +303,6 @@ def smooth(
     except np.linalg.LinAlgError as error:
         raise DataError("the motion cannot be found: errors of positions or headings are absurd") from error
     off, spread = _residuals(nodes, reference, state, covariance)
-    squared, yaw_squared = _distances(nodes, reference, off, spread)
     return Smoothed(
         state=state,
         covariance=covariance,
@@ -315,8 +310,6 @@ def smooth(
         heads=at_nodes(nodes.heads),
         bend=at_nodes(nodes.bend),
         change=change,
-        squared_distance=squared,
-        yaw_squared_distance=yaw_squared,
         fix_weight=reference.fix_weight,
         yaw_weight=reference.yaw_weight,
         reduced_chi_square=_reduced_chi_square(nodes, reference.fix_weight, off, spread),
