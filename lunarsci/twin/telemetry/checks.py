@@ -21,7 +21,7 @@ from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact import VALID_SLIP
 from lunarsci.twin.simulation.prescribed_motion import PrescribedLoads
-from lunarsci.twin.telemetry.hypotheses import LN_ODDS, REPORTED, chance_by_noise, held
+from lunarsci.twin.telemetry.hypotheses import LN_ODDS, REPORTED, repeat_chance, repeated
 from lunarsci.twin.telemetry.nodes import Rows
 from lunarsci.twin.telemetry.reading import LEAST_ROW_M, OBEYED, STILL, SURE, UNDER_WAY, Findings, Positions, Telemetry
 from lunarsci.twin.telemetry.wheel_motion import PACE, mean_speed
@@ -55,7 +55,7 @@ ATTITUDE_DEG, FOLLOWS, MOUNTED_DEG = 1.5, 0.6, 3.0
 that is more; and by how much their sensor may be turned on the rover [deg]; assumed."""
 
 
-def taken(telemetry: Telemetry, rows: IndexArray | BoolArray) -> Telemetry:
+def subset(telemetry: Telemetry, rows: IndexArray | BoolArray) -> Telemetry:
     """Some rows of telemetry, as a mask or by number."""
     arrays: dict[str, Any] = {name: value[rows] for name, value in _arrays(telemetry).items()}
     return dataclasses.replace(telemetry, **arrays)
@@ -77,7 +77,7 @@ def ordered(telemetry: Telemetry, findings: Findings) -> Telemetry:
     lost = ~np.isfinite(telemetry.time_s)
     if lost.any():
         findings.add("no time", f"{lost.sum()} rows without a time_s", "left out", count=int(lost.sum()))
-        telemetry = taken(telemetry, ~lost)
+        telemetry = subset(telemetry, ~lost)
     if (np.diff(telemetry.time_s) <= 0).any():
         telemetry = _in_order(telemetry, findings)
     if len(telemetry.time_s) < LEAST_ROWS:
@@ -91,7 +91,7 @@ def _in_order(telemetry: Telemetry, findings: Findings) -> Telemetry:
     content = np.column_stack([value.reshape(len(value), -1) for value in _arrays(telemetry).values()])
     again = pd.DataFrame(content).duplicated().to_numpy()
     findings.of_rows("repeated rows", f"{again.sum()} rows repeat another one", "left out", again, telemetry.time_s)
-    telemetry = taken(telemetry, ~again)
+    telemetry = subset(telemetry, ~again)
     steps = np.diff(telemetry.time_s)
     if (back := np.flatnonzero(steps < 0)).size:
         row = int(back[0])
@@ -102,7 +102,7 @@ def _in_order(telemetry: Telemetry, findings: Findings) -> Telemetry:
                 "are out of order; split the file there, or sort it if the times are right"
             )
         findings.add("rows out of order", f"time runs backwards, first {what}", "sorted by time", count=back.size)
-        telemetry = taken(telemetry, np.argsort(telemetry.time_s, kind="stable"))
+        telemetry = subset(telemetry, np.argsort(telemetry.time_s, kind="stable"))
     if not (np.diff(telemetry.time_s) == 0).any():
         return telemetry
     columns: dict[str, Any] = {}
@@ -134,7 +134,7 @@ def steering_angles(telemetry: Telemetry, rover: Rover, findings: Findings) -> t
     """
     measured, commanded = telemetry.steered_deg.copy(), telemetry.steering_deg
     for k, wheel in enumerate(rover.wheels):
-        _mend(telemetry, k, wheel, measured, commanded, findings)
+        _replace_faulty(telemetry, k, wheel, measured, commanded, findings)
     angle = np.where(np.isfinite(measured), measured, commanded)
     given = np.isfinite(angle)
     for k, (wheel, rows) in enumerate(zip(rover.wheels, given.T, strict=True)):
@@ -147,7 +147,7 @@ def steering_angles(telemetry: Telemetry, rover: Rover, findings: Findings) -> t
     return angle, given
 
 
-def _mend(
+def _replace_faulty(
     telemetry: Telemetry, k: int, wheel: str, measured: FloatArray, commanded: FloatArray, findings: Findings
 ) -> None:
     """Put the command in the place of readings that hang or spike, in one wheel's column of `measured`.
@@ -158,7 +158,7 @@ def _mend(
     if not both.any():
         return
     hung, off = np.zeros((2, len(both)), dtype=bool)
-    hung[both] = held(measured[both, k], 1.0, commanded[both, k], STEERED_DEG)
+    hung[both] = repeated(measured[both, k], 1.0, commanded[both, k], STEERED_DEG)
     # A motor is on its way for a step.
     change = np.abs(np.diff(commanded[:, k], prepend=commanded[0, k], append=commanded[-1, k]))
     allowed = STEERING_DEG + np.nan_to_num(np.maximum(change[1:], change[:-1]))
@@ -302,32 +302,32 @@ def check_slips(slip: FloatArray, measured: BoolArray, time_s: FloatArray, findi
     findings.of_rows(FAST, what, done, fast, time_s)
 
 
-def by_the_plan(sent: Rows, rover: Rover, schedule: Schedule, findings: Findings) -> tuple[Rows, bool, float]:
+def aligned_with_plan(sent: Rows, rover: Rover, schedule: Schedule, findings: Findings) -> tuple[Rows, bool, float]:
     """Telemetry by the clock of a plan; whether its commands are the plan's, and how much longer it stood still. [s]
 
     Another clock is found by the commands, and said. So are halts that the plan does not have, and other commands.
     """
-    if schedule.plan.fixes is not None or (beside := _Beside.of(sent, rover, schedule)) is None:
+    if schedule.plan.fixes is not None or (beside := _PlanMatch.of(sent, rover, schedule)) is None:
         return sent, False, 0.0
-    late_s = _say_clock(sent.telemetry, beside, findings)
+    late_s = _report_clock(sent.telemetry, beside, findings)
     # What was found, and what will be, is by the clock that all else of the result is by.
     beside.sent = beside.sent._replace(time_s=beside.sent.time_s - late_s)
     findings.entries[:] = [
         one if one.time_s is None else replace(one, time_s=one.time_s - late_s) for one in findings.entries
     ]
     halts = beside.halts() if beside.share_off <= REPORTED else ()
-    _say_halts(halts, schedule, findings)
-    as_planned = beside.off_m <= STEP_M or not _say_commands(beside, findings)
-    return _later(sent, late_s), as_planned, sum(halt.longer_s for halt in halts)
+    _report_halts(halts, schedule, findings)
+    as_planned = beside.off_m <= STEP_M or not _report_commands(beside, findings)
+    return _starting_later(sent, late_s), as_planned, sum(halt.longer_s for halt in halts)
 
 
-def _later(sent: Rows, start_s: float) -> Rows:
+def _starting_later(sent: Rows, start_s: float) -> Rows:
     """The same by a clock that starts later, without what was before."""
     if not start_s:
         return sent
     telemetry, wheels, steering, gaps = sent
     first = int(np.searchsorted(telemetry.time_s, start_s))
-    rows = taken(telemetry, np.arange(first, len(telemetry.time_s)))
+    rows = subset(telemetry, np.arange(first, len(telemetry.time_s)))
     rests = tuple((begin - start_s, end - start_s) for begin, end in telemetry.rests_s)
     rows = replace(rows, time_s=rows.time_s - start_s, start_s=telemetry.start_s + start_s, rests_s=rests)
     steps = {name: getattr(wheels, name)[first:] for name in ("rim_m_s", "measured", "trusted")}
@@ -338,29 +338,25 @@ def check_ends(telemetry: Telemetry, schedule: Schedule, longer_s: float, findin
     """Say where telemetry begins or ends otherwise than its plan, which halts made so much longer."""
     plan, end = schedule.plan, schedule.duration_s + longer_s
     first, last = float(telemetry.time_s[0]), float(telemetry.time_s[-1])
-    if first > EDGE_S:
-        what = f"telemetry begins {first:.4g} s after the plan"
-        findings.add("late begin", what, "there are no states before", time_s=first)
-    if last < end - EDGE_S:
-        what = f"telemetry ends {end - last:.4g} s before the plan: cut off, or the drive was stopped"
-        findings.add("early end", what, "there are no states after", time_s=last)
-    if last > end + EDGE_S:
-        what = f"telemetry goes on for {last - end:.4g} s after the plan's end"
-        done = "kept; is it the plan that was driven? `until` leaves out what was after"
-        findings.add("late end", what, done, time_s=last)
-    rows = np.flatnonzero(np.isfinite(telemetry.yaw_deg))
-    if rows.size and telemetry.time_s[rows[0]] <= EDGE_S:
+    for kind, off_s, time_s, what, done in (
+        ("late begin", first, first, "begins {:.4g} s after the plan", "there are no states before"),
+        ("early end", end - last, last, "ends {:.4g} s before the plan: cut off, or the drive was stopped",
+         "there are no states after"),
+        ("late end", last - end, last, "goes on for {:.4g} s after the plan's end",
+         "kept; is it the plan that was driven? `until` leaves out what was after"),
+    ):  # fmt: skip
+        if off_s > EDGE_S:
+            findings.add(kind, f"telemetry {what.format(off_s)}", done, time_s=time_s)
+    wrong, early = list[str](), telemetry.time_s <= EDGE_S
+    if (rows := np.flatnonzero(np.isfinite(telemetry.yaw_deg) & early)).size:
         off = float(np.remainder(telemetry.yaw_deg[rows[0]] - plan.heading_deg + 180.0, 360.0) - 180.0)
-        if abs(off) > HEADING_DEG:
-            what = f"the first heading is {off:.3g} deg off the plan's: another frame, or another plan"
-            findings.add("another start", what, "kept as it is", doubt=True)
-    rows = np.flatnonzero(telemetry.fixed)
-    if rows.size and telemetry.time_s[rows[0]] < EDGE_S:
+        wrong += [f"heading is {off:.3g} deg off the plan's"] * (abs(off) > HEADING_DEG)
+    if (rows := np.flatnonzero(telemetry.fixed & early)).size:
         off = float(np.hypot(*(telemetry.fix_m[rows[0]] - [plan.x_m, plan.y_m])))
         sigma = float(np.sqrt(np.trace(telemetry.fix_covariance_m2[rows[0]])))
-        if off > START_M + SURE * sigma:
-            what = f"the first position is {off:.3g} m from the plan's start: another frame, or another plan"
-            findings.add("another start", what, "kept as it is", doubt=True)
+        wrong += [f"position is {off:.3g} m from the plan's start"] * (off > START_M + SURE * sigma)
+    for what in wrong:
+        findings.add("another start", f"the first {what}: another frame, or another plan", "kept as it is", doubt=True)
 
 
 class _Halt(NamedTuple):
@@ -376,7 +372,7 @@ class _Halt(NamedTuple):
     planned: bool
 
 
-class _AlongWay(NamedTuple):
+class _CommandsAlongWay(NamedTuple):
     """Commands over the way of the rims, in rows or steps in which these move.
 
     Time (n,) [s]; way (n,) [m]; steering [deg], or where no wheel is steered speed of each rim over their mean
@@ -389,7 +385,9 @@ class _AlongWay(NamedTuple):
     speed_m_s: float
 
     @classmethod
-    def of(cls, time_s: FloatArray, speed_m_s: FloatArray, command: FloatArray, gaps: BoolArray) -> "_AlongWay | None":
+    def of(
+        cls, time_s: FloatArray, speed_m_s: FloatArray, command: FloatArray, gaps: BoolArray
+    ) -> "_CommandsAlongWay | None":
         """From times (n,), mean speed of the rims between them and gaps (n - 1,), and commands; None where nothing
         moves."""
         fast = speed_m_s > UNDER_WAY * np.max(speed_m_s, initial=0.0)
@@ -402,7 +400,7 @@ class _AlongWay(NamedTuple):
         return cls(time_s[rows], way[rows], command[rows], float(np.median(speed_m_s[fast])))
 
 
-class _Beside:
+class _PlanMatch:
     """Rows of telemetry in which wheels turn, beside the commands of a plan at the same way.
 
     Attributes
@@ -414,12 +412,12 @@ class _Beside:
     off_m, share_off : way with other commands [m], and its share; 1 where too little lies within the plan.
     """
 
-    def __init__(self, sent: _AlongWay, plan: _AlongWay, schedule: Schedule, rover: Rover) -> None:
+    def __init__(self, sent: _CommandsAlongWay, plan: _CommandsAlongWay, schedule: Schedule, rover: Rover) -> None:
         self.rover, self.schedule, self.plan = rover, schedule, plan
         self.allowed = STEERING_DEG if rover.steered_mask.any() else OBEYED
         pace, end = sent.speed_m_s / plan.speed_m_s, float(plan.way_m[-1])
         begin = float(np.interp(sent.time_s[0], plan.time_s, plan.way_m))
-        tried = list[tuple[float, _AlongWay, float, float]]()
+        tried = list[tuple[float, _CommandsAlongWay, float, float]]()
         # Faster wheels go as far in less time, or are of another size and go farther.
         for scale, faster in ((1.0, pace), (pace, 1.0)):
             one = sent._replace(way_m=sent.way_m / scale)
@@ -448,7 +446,7 @@ class _Beside:
         self.share_off = 1.0 if short else self.off_m / within
 
     @classmethod
-    def of(cls, sent: Rows, rover: Rover, schedule: Schedule) -> "_Beside | None":
+    def of(cls, sent: Rows, rover: Rover, schedule: Schedule) -> "_PlanMatch | None":
         """Of all rows; None where no wheel turns."""
         telemetry, rims = sent.telemetry, sent.wheels.rim_m_s
         grid = np.linspace(0.0, schedule.duration_s, max(3, math.ceil(schedule.duration_s / 0.1)))
@@ -461,10 +459,10 @@ class _Beside:
             steering = np.where(np.isfinite(telemetry.steering_deg), telemetry.steering_deg, telemetry.steered_deg)
             command = [steering, np.degrees(commands.steering_rad)]
         gaps = sent.gaps, np.zeros(len(grid) - 1, dtype=bool)
-        made = [_AlongWay.of(*one) for one in zip((telemetry.time_s, grid), means, command, gaps, strict=True)]
+        made = [_CommandsAlongWay.of(*one) for one in zip((telemetry.time_s, grid), means, command, gaps, strict=True)]
         return None if made[0] is None or made[1] is None else cls(made[0], made[1], schedule, rover)
 
-    def _ln_of(self, sent: _AlongWay, offset_m: float) -> float:
+    def _ln_of(self, sent: _CommandsAlongWay, offset_m: float) -> float:
         """ln of how probable an offset is, up to a constant."""
         some = slice(None, None, 1 + len(sent.way_m) // MOST_TRIED)
         off, inside = self._compared(sent, offset_m, some)
@@ -473,7 +471,9 @@ class _Beside:
         missed = max(self.plan.way_m[-1] - steps[inside].sum(), 0.0)
         return LN_ODDS["commands"] * float(steps[off.any(axis=1) | ~inside].sum() + missed)
 
-    def _compared(self, sent: _AlongWay, offset_m: float, rows: slice = slice(None)) -> tuple[BoolArray, BoolArray]:
+    def _compared(
+        self, sent: _CommandsAlongWay, offset_m: float, rows: slice = slice(None)
+    ) -> tuple[BoolArray, BoolArray]:
         """Rows and wheels whose command is not that of the plan, nor just before or behind; rows within the plan."""
         way, off = sent.way_m[rows] + offset_m, np.ones(sent.command[rows].shape, dtype=bool)
         for beside in (-STEP_M / 2.0, 0.0, STEP_M / 2.0):
@@ -497,7 +497,7 @@ class _Beside:
         return tuple(halts)
 
 
-def _say_halts(halts: tuple[_Halt, ...], schedule: Schedule, findings: Findings) -> None:
+def _report_halts(halts: tuple[_Halt, ...], schedule: Schedule, findings: Findings) -> None:
     for halt in halts:
         has = f"{abs(halt.longer_s):.3g} s {'longer' if halt.longer_s > 0 else 'less long'} than the plan has it"
         if not halt.planned:
@@ -528,7 +528,7 @@ def _remedy(halt: _Halt, schedule: Schedule) -> str:
     return f"split leg {before + number + 1} of the plan after {way}, with a [[leg]] of stop_s = {stop_s:.4g} between"
 
 
-def _say_clock(telemetry: Telemetry, beside: _Beside, findings: Findings) -> float:
+def _report_clock(telemetry: Telemetry, beside: _PlanMatch, findings: Findings) -> float:
     """By how much the clock is later than the plan's, said; 0 where it is not. [s]"""
     rows = beside.late_s[beside.inside]
     if beside.share_off > REPORTED or not rows.size:
@@ -543,7 +543,7 @@ def _say_clock(telemetry: Telemetry, beside: _Beside, findings: Findings) -> flo
     return late
 
 
-def _say_commands(beside: _Beside, findings: Findings) -> bool:
+def _report_commands(beside: _PlanMatch, findings: Findings) -> bool:
     """Say that commands are not the plan's; whether that is a doubt. Some row must be off."""
     sent, plan, off = beside.sent, beside.plan, beside.off & beside.inside[:, None]
     rows = np.flatnonzero(off.any(axis=1))
@@ -616,22 +616,11 @@ def usable_positions(telemetry: Telemetry, way_m: FloatArray, findings: Findings
     `way_m` is the way of the rims until each row. (n,) Raises DataError where fewer than two are left.
     """
     given, value = telemetry.fixed, telemetry.fix_covariance_m2
-    complete: BoolArray = np.asarray(np.isfinite(value).all(axis=(1, 2)))
-    least: FloatArray = np.linalg.eigvalsh(np.where(complete[:, None, None], value, -np.eye(2)))[:, 0]
-    bad = np.asarray(given & (least <= 0))
-    _leave(findings, "bad covariance", "errors that are missing, 0, negative, or no covariance", bad, telemetry)
-    rows, same = np.flatnonzero(given & ~bad), np.zeros(len(given), dtype=bool)
-    if rows.size:
-        place, sigma = telemetry.fix_m[rows], float(np.median(np.sqrt(np.trace(value[rows], axis1=1, axis2=2) / 2.0)))
-        same[rows] = held(place, chance_by_noise(place, sigma) ** 2, way_m[rows], np.sqrt(2.0) * sigma)
-    what = "it repeats the one before to the last digit: sent again, or the sensor hangs"
-    _leave(findings, "repeated position", what, same, telemetry)
-    used = given & ~bad & ~same
-    if used.sum() < 2:
-        raise DataError(
-            f"{telemetry.file}: {int(used.sum())} positions of use among {int(given.sum())} ({int(bad.sum())} have "
-            f"errors that are no covariance, {int(same.sum())} repeat another); slip needs two or more"
-        )
+    complete = np.isfinite(value).all(axis=(1, 2))
+    least = np.linalg.eigvalsh(np.where(complete[:, None, None], value, -np.eye(2)))[:, 0]
+    sigma = np.where(least > 0, np.sqrt(np.abs(np.trace(value, axis1=1, axis2=2)) / 2.0), np.nan)
+    bad = "bad covariance", "errors that are missing, 0, negative, or no covariance"
+    used = _used("position", bad, telemetry, telemetry.fix_m, sigma, way_m, findings)
     check_far(np.flatnonzero(used), telemetry, way_m, findings)
     shared = telemetry.fix_shared_m2
     if shared is not None:
@@ -641,32 +630,43 @@ def usable_positions(telemetry: Telemetry, way_m: FloatArray, findings: Findings
     return dataclasses.replace(telemetry, fix_m=np.where(used[:, None], telemetry.fix_m, np.nan), fix_shared_m2=shared)
 
 
-def _leave(findings: Findings, kind: str, what: str, rows: BoolArray, telemetry: Telemetry) -> None:
-    findings.of_rows(kind, what, f"these {kind.split()[-1]}s are left out", rows, telemetry.time_s)
-
-
 def usable_headings(telemetry: Telemetry, turned_deg: FloatArray, findings: Findings) -> Telemetry:
     """Headings without full turns between rows, and without those that only repeat the one before.
 
     `turned_deg` is the turn that the wheels say until each row. (n,) Raises DataError where fewer than two are left.
     """
-    yaw, sigma = telemetry.yaw_deg.copy(), telemetry.yaw_deg_sigma
-    given = np.isfinite(yaw)
-    blank = given & ~(sigma > 0)
-    rows, same = np.flatnonzero(given & ~blank), np.zeros(len(yaw), dtype=bool)
-    if rows.size:
-        error = float(np.median(sigma[rows]))
-        same[rows] = held(yaw[rows], chance_by_noise(yaw[rows], error), turned_deg[rows], np.sqrt(2.0) * error)
-    what = "yaw_deg repeats the one before to the last digit: sent again, or the sensor hangs"
-    _leave(findings, "heading error", "yaw_deg_sigma is missing, 0 or negative", blank, telemetry)
-    _leave(findings, "repeated heading", what, same, telemetry)
-    yaw[blank | same] = np.nan
-    rows = np.flatnonzero(np.isfinite(yaw))
-    if rows.size < 2:
-        raise DataError(f"{telemetry.file}: {rows.size} headings of use; side slip needs yaw_deg")
-    findings.of_rows("missing headings", "rows without yaw_deg", "found from the others", ~given, telemetry.time_s)
-    yaw[rows] = np.degrees(np.unwrap(np.radians(yaw[rows])))
+    sigma = np.where(telemetry.yaw_deg_sigma > 0, telemetry.yaw_deg_sigma, np.nan)
+    bad = "heading error", "yaw_deg_sigma is missing, 0 or negative"
+    used = _used("heading", bad, telemetry, telemetry.yaw_deg[:, None], sigma, turned_deg, findings)
+    blank = np.isnan(telemetry.yaw_deg)
+    findings.of_rows("missing headings", "rows without yaw_deg", "found from the others", blank, telemetry.time_s)
+    yaw = np.where(used, telemetry.yaw_deg, np.nan)
+    yaw[used] = np.unwrap(yaw[used], period=360.0)
     return dataclasses.replace(telemetry, yaw_deg=yaw)
+
+
+def _used(
+    name: str, bad: tuple[str, str], telemetry: Telemetry, values: FloatArray, sigma: FloatArray, change: FloatArray,
+    findings: Findings,
+) -> BoolArray:  # fmt: skip
+    """Measurements (n, m) whose error (n,) is known and that do not only repeat the one before, while `change` says by
+    how much they should. (n,) Raises DataError where fewer than two are left."""
+    given, same = np.isfinite(values).all(axis=1), np.zeros(len(values), dtype=bool)
+    sound = np.asarray(given & np.isfinite(sigma))
+    if sound.any():
+        error = float(np.median(sigma[sound]))
+        chance = repeat_chance(values[sound], error) ** values.shape[1]
+        same[sound] = repeated(values[sound], chance, change[sound], math.sqrt(2.0) * error)
+    again = f"repeated {name}", f"{name} repeats the one before to the last digit: sent again, or the sensor hangs"
+    for rows, (kind, what) in ((given & ~sound, bad), (same, again)):
+        findings.of_rows(kind, what, f"these {kind.split()[-1]}s are left out", rows, telemetry.time_s)
+    used = sound & ~same
+    if used.sum() < 2:
+        raise DataError(
+            f"{telemetry.file}: {used.sum()} {name}s of use among {given.sum()} ({(given & ~sound).sum()} have errors "
+            f"that are none, {same.sum()} repeat another); slip needs two or more"
+        )
+    return used
 
 
 def check_attitude(telemetry: Telemetry, held: PrescribedLoads, rows: IndexArray, findings: Findings) -> None:

@@ -74,8 +74,8 @@ class Nodes:
     time_s : (n,) [s]
     twist : mean velocity between nodes if nothing slips: ahead, left [m/s], turn [rad/s]. (n - 1, 3)
     way_m : mean way of the rims between nodes. (n - 1,) [m]
-    loose : additional standard error of the way between nodes, as over a gap. (n - 1,) [m]
-    apart : steps over which deviations keep nothing, as at a halt. (n - 1,)
+    gap_sigma_m : additional standard error of the way between nodes, as over a gap. (n - 1,) [m]
+    restarts : steps over which deviations keep nothing, as at a halt. (n - 1,)
     fix_m, fix_covariance_m2 : positions, NaN where there is none. (n, 2), (n, 2, 2)
     yaw_rad, yaw_sigma_rad : headings, NaN where there is none. (n,)
     effect : deviations ahead, left and turn for coefficients of 1; None where nothing is known. (n, 3, 5)
@@ -86,8 +86,8 @@ class Nodes:
     time_s: FloatArray
     twist: FloatArray
     way_m: FloatArray
-    loose: FloatArray
-    apart: BoolArray
+    gap_sigma_m: FloatArray
+    restarts: BoolArray
     fix_m: FloatArray
     fix_covariance_m2: FloatArray
     yaw_rad: FloatArray
@@ -112,7 +112,7 @@ class Nodes:
 
         One with positions is several, from one to the next of them, `MOST_PARTS` at most.
         """
-        still = np.concatenate([[False], (self.way_m == 0.0) & (self.loose == 0.0), [False]])
+        still = np.concatenate([[False], (self.way_m == 0.0) & (self.gap_sigma_m == 0.0), [False]])
         firsts, lasts = np.flatnonzero(still[1:] & ~still[:-1]), np.flatnonzero(still[:-1] & ~still[1:])
         end, result = len(self.time_s) - 1, list[tuple[int, int]]()
         for first, last in zip(firsts, lasts, strict=True):
@@ -128,7 +128,7 @@ class Nodes:
         return [*self.halts, *self.jumps]
 
     @property
-    def bend(self) -> FloatArray:
+    def turn_gain(self) -> FloatArray:
         """How much more the turn deviates than on a straight way: slip changes a turn the more, the more it turns.
 
         (n - 1,)
@@ -137,7 +137,7 @@ class Nodes:
         return np.hypot(1.0, BEND_M * np.divide(turned, self.way_m, out=np.zeros_like(turned), where=self.way_m > 0))
 
     @property
-    def heads(self) -> FloatArray:
+    def direction(self) -> FloatArray:
         """Speed ahead as a share of the rims': 1 forwards, -1 backwards, 0 where it turns on the spot. (n - 1,)"""
         moved = self.twist[:, 0] * np.diff(self.time_s)
         return np.asarray(np.clip(np.divide(moved, self.way_m, out=np.zeros_like(moved), where=self.way_m > 0), -1, 1))
@@ -195,7 +195,7 @@ def lag_of_turns(nodes: Nodes, farthest_s: float) -> float:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TriedProcesses:
+class ProcessCandidates:
     """How deviations change and positions err, m at a time.
 
     Attributes
@@ -258,7 +258,7 @@ def step_inputs(nodes: Nodes) -> FloatArray:
     steps, effects = np.diff(nodes.time_s), nodes.effects
     result = np.zeros((len(steps), 3, nodes.constants))
     result[:, [0, 1, 2], [0, 1, 2]] = nodes.way_m[:, None]
-    result[:, 0, 0] *= nodes.heads
+    result[:, 0, 0] *= nodes.direction
     result[:, :, 3:SCALE] = nodes.way_m[:, None, None] * 0.5 * (effects[1:] + effects[:-1])
     result[:, :, SCALE] = nodes.twist * steps[:, None]
     for number, (first, last) in enumerate(nodes.slides):
@@ -274,7 +274,7 @@ def linearised(nodes: Nodes, reference: ReferenceMotion) -> Linear:
     parts = np.zeros((len(before), 3, SIZE))
     for row, k in enumerate(AHEAD):
         parts[:, row, k], parts[:, row, k + 1] = nodes.way_m, 0.5 * nodes.way_m**2
-    parts[:, 2] *= nodes.bend[:, None]
+    parts[:, 2] *= nodes.turn_gain[:, None]
     added = step_inputs(nodes)
     plain = nodes.twist * np.diff(nodes.time_s)[:, None]
     full = plain + np.einsum("nij,nj->ni", parts, before) + added @ constants
@@ -301,7 +301,7 @@ def _measured(nodes: Nodes, reference: ReferenceMotion, moved: FloatArray) -> tu
     `moved` is how far each step goes in x, y and heading, by wheels and deviations. (n - 1, 3) [m, m, rad]
     """
     state, constants = reference.state, reference.constants
-    back, rate = _put_back(nodes, moved, float(constants[LAG]))
+    back, rate = _shifted_back(nodes, moved, float(constants[LAG]))
     turned = state[:, 2] + back[:, 2]
     cos, sin = np.cos(turned), np.sin(turned)
     arm = onto_map(turned, *constants[LEVER])
@@ -324,7 +324,7 @@ def _measured(nodes: Nodes, reference: ReferenceMotion, moved: FloatArray) -> tu
     return seen, by, value
 
 
-def _put_back(nodes: Nodes, moved: FloatArray, lag_s: float) -> tuple[FloatArray, FloatArray]:
+def _shifted_back(nodes: Nodes, moved: FloatArray, lag_s: float) -> tuple[FloatArray, FloatArray]:
     """How far behind the rover was a lag before each node, and its velocity there. (n, 3), (n, 3) [m, m, rad; a second]
 
     By the velocities of wheels and deviations, not as smoothed: errors of positions would be moved along.
@@ -364,11 +364,11 @@ class Model:
 
     nodes: Nodes
     reference: ReferenceMotion
-    assumptions: TriedProcesses
+    assumptions: ProcessCandidates
     linear: Linear
 
     @classmethod
-    def about(cls, nodes: Nodes, reference: ReferenceMotion, assumptions: TriedProcesses) -> "Model":
+    def about(cls, nodes: Nodes, reference: ReferenceMotion, assumptions: ProcessCandidates) -> "Model":
         """The model linearised about a reference."""
         return cls(nodes, reference, assumptions, linearised(nodes, reference))
 
@@ -380,7 +380,11 @@ class Model:
     def steps(self, first: int, last: int) -> tuple[FloatArray, FloatArray]:
         """Matrix (k, m, 11, 11) and noise (k, m, 11, 11) of some steps."""
         nodes, assumed = self.nodes, self.assumptions
-        way, apart, loose = nodes.way_m[first:last, None], nodes.apart[first:last], nodes.loose[first:last]
+        way, apart, gap_sigma_m = (
+            nodes.way_m[first:last, None],
+            nodes.restarts[first:last],
+            nodes.gap_sigma_m[first:last],
+        )
         matrix = np.zeros((last - first, len(assumed.walk), SIZE, SIZE))
         noise = np.zeros_like(matrix)
         matrix[..., :3, :] = self.linear.pose[first:last, None]
@@ -393,9 +397,9 @@ class Model:
             still = self._stationary(channel)
             matrix[..., k : k + 2, k : k + 2] = block
             noise[..., k : k + 2, k : k + 2] = still - block @ still @ np.swapaxes(block, -1, -2)
-        noise[..., 0, 0] = noise[..., 1, 1] = (POSITION_M_PER_STEP**2 + loose**2)[:, None]
+        noise[..., 0, 0] = noise[..., 1, 1] = (POSITION_M_PER_STEP**2 + gap_sigma_m**2)[:, None]
         turn = nodes.twist[first:last, 2] * np.diff(nodes.time_s[first : last + 1])
-        noise[..., 2, 2] = ((loose / LOOSE_M) ** 2 + (TURN_PER_STEP * turn) ** 2)[:, None]
+        noise[..., 2, 2] = ((gap_sigma_m / LOOSE_M) ** 2 + (TURN_PER_STEP * turn) ** 2)[:, None]
         if nodes.chain is None:
             matrix[..., OFF, OFF] = np.eye(2)
             noise[..., OFF, OFF] = (assumed.walk**2 * way)[..., None, None] * np.eye(2)

@@ -12,7 +12,7 @@ reported where it is more probable than not. Columns are only converted where th
 * `MOTION` are constants of a whole drive. As the state is linear in them (see `filter`), the marginal likelihood of any
   set of hypotheses is a quadratic form (MacKay 2003, ch. 28). None is chosen: constants are averaged over the sets,
   each as probable as it is.
-* A channel may only repeat itself: `held`.
+* A channel may only repeat itself: `repeated`.
 """
 
 import itertools
@@ -163,7 +163,9 @@ def in_units(telemetry: Telemetry, rover: Rover, findings: Findings) -> Telemetr
         "speed_m_s": between(telemetry.speed_m_s) / per_deg,
     }
     ratios = {(a, b): _ratio(turns[a], turns[b]) for a, b in itertools.combinations(turns, 2)}
-    fastest = {name: _usual(per_deg * rate[np.isfinite(rate)]) / rover.max_speed_m_s for name, rate in turns.items()}
+    fastest = {
+        name: _typical_size(per_deg * rate[np.isfinite(rate)]) / rover.max_speed_m_s for name, rate in turns.items()
+    }
     telemetry = _in_likeliest(telemetry, units, ratios, fastest, findings)
     ratios = {STEERING: _ratio(telemetry.steered_deg, telemetry.steering_deg, SIGMA_DEG)}
     return _in_likeliest(telemetry, units, ratios, {}, findings)
@@ -173,11 +175,11 @@ def _ratio(values: FloatArray, wanted: FloatArray, least: float = 0.0) -> float:
     """Median of one column over another, where that one is large; NaN where there are too few rows."""
     given = np.isfinite(values) & np.isfinite(wanted)
     given &= np.maximum(np.abs(wanted), np.abs(values) * (least > 0)) > least
-    given &= np.abs(wanted) > UNDER_WAY * _usual(wanted[given])
+    given &= np.abs(wanted) > UNDER_WAY * _typical_size(wanted[given])
     return float(np.median(values[given] / wanted[given])) if given.sum() >= FEWEST_ROWS else math.nan
 
 
-def _usual(values: FloatArray) -> float:
+def _typical_size(values: FloatArray) -> float:
     """Median size of what is no noise at rest; the very largest ones may be wild. NaN of none."""
     size = np.abs(values)
     return float(np.median(size[size >= STILL * np.percentile(size, 98)])) if size.size else math.nan
@@ -359,7 +361,7 @@ def as_meant(
 
 def _ln_of_frame(frame: Frame, telemetry: Telemetry, twist: FloatArray, turns: float) -> float:
     """ln of how probable a frame makes positions and headings, up to a constant that all share."""
-    rows, times, twist = _apart(telemetry, twist), telemetry.time_s, frame.rims * twist
+    rows, times, twist = _spaced(telemetry, twist), telemetry.time_s, frame.rims * twist
     given = np.isfinite(telemetry.yaw_deg)
     yaw = np.radians(np.interp(times, times[given], frame.heading(telemetry.yaw_deg)[given]))
     steps, middle = np.diff(times), 0.5 * (yaw[1:] + yaw[:-1])
@@ -393,7 +395,7 @@ def _ln_of_frame(frame: Frame, telemetry: Telemetry, twist: FloatArray, turns: f
     )
 
 
-def _apart(telemetry: Telemetry, twist: FloatArray) -> IndexArray:
+def _spaced(telemetry: Telemetry, twist: FloatArray) -> IndexArray:
     """Rows with a position, so far apart that slip shows between them; all where they are few."""
     rows = np.flatnonzero(telemetry.fixed)
     rolled = np.append(0.0, np.cumsum(np.hypot(twist[:, 0], twist[:, 1]) * np.diff(telemetry.time_s)))
@@ -569,7 +571,7 @@ def ln_evidence(squares: FloatArray, mean: FloatArray, sigma: FloatArray) -> tup
     return -0.5 * chi_square - 0.5 * np.linalg.slogdet(precision)[1], mean + sigma * off, covariance
 
 
-def likely_sets(priors: Priors, squares: FloatArray) -> list[BoolArray]:
+def probable_sets(priors: Priors, squares: FloatArray) -> list[BoolArray]:
     """Sets of hypotheses to average over: the most probable one that is reached hypothesis by hypothesis, and all that
     differ from it by one. `squares` are those of one assumption. (1 + k, 1 + k)"""
     held = np.zeros(len(priors.hypotheses), dtype=bool)
@@ -607,7 +609,7 @@ def averaged(priors: Priors, run: FilterRun, sets: list[BoolArray]) -> list[Post
     return result
 
 
-def held(values: FloatArray, chance: float, expected: FloatArray, sigma: float) -> BoolArray:
+def repeated(values: FloatArray, chance: float, expected: FloatArray, sigma: float) -> BoolArray:
     """Which readings only repeat the one before. (n,)
 
     Parameters
@@ -629,7 +631,7 @@ def held(values: FloatArray, chance: float, expected: FloatArray, sigma: float) 
     return np.asarray(result)
 
 
-def digit_of(values: FloatArray) -> float:
+def resolution_of(values: FloatArray) -> float:
     """The last digit: the finest change of which all changes are multiples; a thousandth of it where they are none.
 
     Infinite where nothing changes.
@@ -641,9 +643,9 @@ def digit_of(values: FloatArray) -> float:
     return finest if (np.abs(changes / finest - np.rint(changes / finest)) < 0.01).all() else 1e-3 * finest
 
 
-def chance_by_noise(values: FloatArray, sigma: float) -> float:
+def repeat_chance(values: FloatArray, sigma: float) -> float:
     """Probability that a reading with an error of `sigma` repeats the one before, by its last digit.
 
     The difference of two is normal, of standard deviation sqrt 2 sigma, and rounded to the finest change there is.
     """
-    return min(1.0, digit_of(values) / (2.0 * math.sqrt(math.pi) * sigma))
+    return min(1.0, resolution_of(values) / (2.0 * math.sqrt(math.pi) * sigma))

@@ -193,7 +193,7 @@ def _track(prediction: Prediction, errors: SensorErrors, random: np.random.Gener
     states = prediction.states[0, :count]
     x, y, z = (states[..., STATE_COLUMNS.index(name)] for name in ("x_m", "y_m", "sinkage_m"))
     width = prediction.rover.wheel.width_m
-    points = _apart(_filled(x, y, width), TRACK_WIDTHS * width)
+    points = _spaced(_filled(x, y, width), TRACK_WIDTHS * width)
     depth = deepest_at(points, (x, y, z), 0.5 * prediction.rover.wheel.width_m).max(axis=1)
     sigma = errors.track_m
     return pd.DataFrame(
@@ -220,7 +220,7 @@ def _filled(x_m: FloatArray, y_m: FloatArray, width_m: float) -> FloatArray:
     return np.asarray((1.0 - share) * places[low] + share * places[low + 1]).reshape(-1, 2)
 
 
-def _apart(points_m: FloatArray, least_m: float) -> FloatArray:
+def _spaced(points_m: FloatArray, least_m: float) -> FloatArray:
     """Points without those nearer than a distance to an earlier one. (p, 2) [m]"""
     from scipy.spatial import cKDTree
 

@@ -25,8 +25,8 @@ from lunarsci.twin.telemetry.filter import (
     FilterRun,
     Model,
     Nodes,
+    ProcessCandidates,
     ReferenceMotion,
-    TriedProcesses,
     at_nodes,
     filtered,
     linearised,
@@ -40,7 +40,7 @@ from lunarsci.twin.telemetry.hypotheses import (
     Posterior,
     Priors,
     averaged,
-    likely_sets,
+    probable_sets,
 )
 
 LENGTHS_M = (0.35, 0.7, 1.4, 2.8)
@@ -69,8 +69,8 @@ DRAWN = 12
 STRIDES = (1, 5, 7, 11)
 """By which the draws of the three deviations and the walk are mixed: without a common divisor with `DRAWN`."""
 FAR = -2.0 * LN_ODDS["failure"]
-"""Mahalanobis distance squared from which on a position or a heading is more probably wrong altogether, and is looked at
-alone."""
+"""Mahalanobis distance squared from which on a position or a heading is more probably wrong altogether, and is looked
+at alone."""
 MEDIAN_OF_TWO = 2.0 * math.log(2.0)
 """Median of chi-square with two degrees of freedom."""
 ROUNDS = 4
@@ -123,20 +123,20 @@ class SlipProcess:
         return cls.fixed(COARSE, np.full(3, LENGTHS_M[1]))
 
     @property
-    def middle(self) -> TriedProcesses:
+    def middle(self) -> ProcessCandidates:
         """The usual ones alone."""
         walk = np.array([self.usual_walk])
-        return TriedProcesses(amplitude=self.usual[None], length_m=self.usual_length_m[None], walk=walk)
+        return ProcessCandidates(amplitude=self.usual[None], length_m=self.usual_length_m[None], walk=walk)
 
     @property
-    def all(self) -> TriedProcesses:
+    def all(self) -> ProcessCandidates:
         """All candidates."""
-        return TriedProcesses(amplitude=self.amplitude, length_m=self.length_m, walk=self.walk)
+        return ProcessCandidates(amplitude=self.amplitude, length_m=self.length_m, walk=self.walk)
 
 
-def believed_change(nodes: Nodes) -> SlipProcess:
+def prior_process(nodes: Nodes) -> SlipProcess:
     """What is believed before positions and headings say anything."""
-    return SlipProcess.fixed(_believed(nodes), np.full(3, LENGTHS_M[1]))
+    return SlipProcess.fixed(_prior_amplitude(nodes), np.full(3, LENGTHS_M[1]))
 
 
 def change_of(nodes: Nodes, priors: Priors | None = None, reference: ReferenceMotion | None = None) -> SlipProcess:
@@ -148,16 +148,16 @@ def change_of(nodes: Nodes, priors: Priors | None = None, reference: ReferenceMo
     reference : a motion that is about right; None takes dead reckoning.
     """
     priors = priors or Priors.plain(nodes)
-    believed = _believed(nodes)
+    believed = _prior_amplitude(nodes)
     amplitude, length, walk = COARSE.copy(), np.full(3, LENGTHS_M[1]), 0.0
     reference = reference or ReferenceMotion.first(nodes)
     sets = [np.zeros(len(priors.hypotheses), dtype=bool)]
     if priors.hypotheses:
-        usual = TriedProcesses(amplitude=amplitude[None], length_m=length[None], walk=np.zeros(1))
-        sets = likely_sets(priors, filtered(Model.about(nodes, reference, usual), every_node=False).squares[0])
+        usual = ProcessCandidates(amplitude=amplitude[None], length_m=length[None], walk=np.zeros(1))
+        sets = probable_sets(priors, filtered(Model.about(nodes, reference, usual), every_node=False).squares[0])
 
     def likelihood(tried_a: FloatArray, tried_l: FloatArray, tried_w: FloatArray) -> FloatArray:
-        assumed = TriedProcesses(amplitude=tried_a, length_m=tried_l, walk=tried_w)
+        assumed = ProcessCandidates(amplitude=tried_a, length_m=tried_l, walk=tried_w)
         run = filtered(Model.about(nodes, reference, assumed), every_node=False)
         return np.array([one.ln_likelihood for one in averaged(priors, run, sets)])
 
@@ -181,7 +181,7 @@ def change_of(nodes: Nodes, priors: Priors | None = None, reference: ReferenceMo
         length[channel] = math.exp(weights[channel] @ ln_l)
     spread = np.sqrt([weight @ (ln_a - weight @ ln_a) ** 2 for weight in weights])
     beside = np.maximum(weights, 1e-300) / [_normed(row) for row in prior]
-    drawn = [_drawn(weight, stride) for weight, stride in zip((*weights, walked), STRIDES, strict=True)]
+    drawn = [_draws(weight, stride) for weight, stride in zip((*weights, walked), STRIDES, strict=True)]
     picked = np.column_stack(drawn[:3])
     return SlipProcess(
         amplitude=np.exp(ln_a[picked]) * SHARES,
@@ -195,7 +195,7 @@ def change_of(nodes: Nodes, priors: Priors | None = None, reference: ReferenceMo
     )
 
 
-def _believed(nodes: Nodes) -> FloatArray:
+def _prior_amplitude(nodes: Nodes) -> FloatArray:
     """Amplitudes believed beforehand: ahead, left, and turn, for which slopes do little. (3,)"""
     effect = nodes.effects[:, :2] @ np.array(EFFECT_MEAN)
     way = np.append(0.0, np.cumsum(nodes.way_m))
@@ -209,7 +209,7 @@ def _normed(ln_weight: FloatArray) -> FloatArray:
     return np.asarray(weight / weight.sum())
 
 
-def _drawn(weight: FloatArray, stride: int) -> IndexArray:
+def _draws(weight: FloatArray, stride: int) -> IndexArray:
     """Candidates as often as they are probable, in an order of their own. (m,)"""
     levels = (np.arange(DRAWN) + 0.5) / DRAWN
     picked = np.minimum(np.searchsorted(np.cumsum(weight), levels), len(weight) - 1)
@@ -223,7 +223,7 @@ class Smoothed:
     Attributes
     ----------
     state, covariance : mean and covariance of the state and, behind it, of the constants. (n, 11 + k), ...
-    effect, heads, bend : `Nodes.effects`, and `Nodes.heads` and `Nodes.bend` at the nodes. (n, 3, 5), (n,), (n,)
+    effect, direction, turn_gain : those of `Nodes`, the last two at the nodes. (n, 3, 5), (n,), (n,)
     change : how fast the deviations ahead, left and turn change.
     fix_weight, yaw_weight : how much each position and heading counts, 1 for one that is as good as it says. (n,)
     reduced_chi_square : of the positions.
@@ -233,8 +233,8 @@ class Smoothed:
     state: FloatArray
     covariance: FloatArray
     effect: FloatArray
-    heads: FloatArray
-    bend: FloatArray
+    direction: FloatArray
+    turn_gain: FloatArray
     change: SlipProcess
     fix_weight: FloatArray
     yaw_weight: FloatArray
@@ -253,8 +253,8 @@ class Smoothed:
         picks = np.zeros((len(self.state), 4, self.state.shape[1]))
         for row, (k, mean) in enumerate(zip(AHEAD, MEANS, strict=True)):
             picks[:, row, k] = picks[:, row, mean] = 1.0
-        picks[:, 0, MEANS[0]] = self.heads
-        picks[:, 2, AHEAD[2]] = self.bend
+        picks[:, 0, MEANS[0]] = self.direction
+        picks[:, 2, AHEAD[2]] = self.turn_gain
         picks[:, :3, EFFECTS] = self.effect
         picks[:, 3, SIZE + SCALE] = 1.0
         return picks
@@ -292,7 +292,7 @@ def smooth(
     try:
         reference = start or ReferenceMotion.first(nodes)
         if robust and (reference.fix_weight == 1.0).all():
-            reference = _without_far_ones(nodes, reference, priors)
+            reference = _downweighted(nodes, reference, priors)
         for number in range(ROUNDS):
             tried = change or SlipProcess.coarse()
             reference = _round(nodes, reference, tried, priors, robust=robust)
@@ -307,8 +307,8 @@ def smooth(
         state=state,
         covariance=covariance,
         effect=nodes.effects,
-        heads=at_nodes(nodes.heads),
-        bend=at_nodes(nodes.bend),
+        direction=at_nodes(nodes.direction),
+        turn_gain=at_nodes(nodes.turn_gain),
         change=change,
         fix_weight=reference.fix_weight,
         yaw_weight=reference.yaw_weight,
@@ -332,7 +332,7 @@ def _residuals(
 def probable(nodes: Nodes, change: SlipProcess, priors: Priors, reference: ReferenceMotion) -> tuple[FloatArray, float]:
     """Constants (k,), and ln of how probable positions and headings are, up to a constant."""
     run = filtered(Model.about(nodes, reference, change.middle), every_node=False)
-    (posterior,) = averaged(priors, run, likely_sets(priors, run.squares[0]))
+    (posterior,) = averaged(priors, run, probable_sets(priors, run.squares[0]))
     return posterior.mean, posterior.ln_likelihood
 
 
@@ -353,11 +353,11 @@ def _about(
     """State and constants (n, 11 + k), their covariance, and the constants alone, for the usual change."""
     model = Model.about(nodes, reference, change.middle)
     run = smoothed_back(model, filtered(model))
-    (posterior,) = averaged(priors, run, likely_sets(priors, run.squares[0]))
+    (posterior,) = averaged(priors, run, probable_sets(priors, run.squares[0]))
     return *_joined(run, 0, posterior), posterior.mean
 
 
-def _without_far_ones(nodes: Nodes, reference: ReferenceMotion, priors: Priors) -> ReferenceMotion:
+def _downweighted(nodes: Nodes, reference: ReferenceMotion, priors: Priors) -> ReferenceMotion:
     """Weights to begin with: the position that is farthest from where all others put it hardly counts, then the next.
 
     Student's law has several modes. Where a wrong position counts as much as any at first, its neighbours may end as
@@ -414,11 +414,13 @@ def _averaged(
     whole, every = SIZE + nodes.constants, change.all
     count, many = len(reference.state), len(every.walk)
     each = max(1, HELD_BYTES // (8 * SIZE * (SIZE + whole) * count))
-    sets = likely_sets(priors, filtered(Model.about(nodes, reference, change.middle), every_node=False).squares[0])
+    sets = probable_sets(priors, filtered(Model.about(nodes, reference, change.middle), every_node=False).squares[0])
     means, covariance, posteriors = np.zeros((many, count, whole)), np.zeros((count, whole, whole)), list[Posterior]()
     for first in range(0, many, each):
         some = slice(first, first + each)
-        assumed = TriedProcesses(amplitude=every.amplitude[some], length_m=every.length_m[some], walk=every.walk[some])
+        assumed = ProcessCandidates(
+            amplitude=every.amplitude[some], length_m=every.length_m[some], walk=every.walk[some]
+        )
         model = Model.about(nodes, reference, assumed)
         run = smoothed_back(model, filtered(model))
         for k, posterior in enumerate(averaged(priors, run, sets)):

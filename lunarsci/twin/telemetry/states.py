@@ -28,7 +28,7 @@ from lunarsci.twin.telemetry.checks import (
     FAST,
     HALT,
     WheelPace,
-    by_the_plan,
+    aligned_with_plan,
     check_attitude,
     check_ends,
     check_pace,
@@ -52,15 +52,15 @@ from lunarsci.twin.telemetry.hypotheses import (
 )
 from lunarsci.twin.telemetry.nodes import (
     Rows,
-    denser,
+    densified,
     motion_at,
     nodes_of,
-    on_ground,
-    put_back,
+    overlapping,
+    shifted_back,
     slips_of,
     turn_effect,
     wheel_velocities,
-    within,
+    with_ground_effects,
 )
 from lunarsci.twin.telemetry.reading import LEAST_ROW_M, OBEYED, SHARED, STILL, SURE, Findings, Positions, Telemetry
 from lunarsci.twin.telemetry.smoother import FAR, SlipProcess, Smoothed, smooth
@@ -144,7 +144,7 @@ def state_rows(
     drives = (speed > STILL * nodes.way_m / steps) & (speed > STILL * wheels.usual_m_s)
     distance = np.append(0.0, np.cumsum(np.where(drives, speed * steps, 0.0)))
     gap_nodes = np.add.reduceat(gaps.astype(int), rows[:-1]) > 0
-    chosen, halted = _chosen(nodes, drives, distance, gap_nodes, findings)
+    chosen, halted = _state_nodes(nodes, drives, distance, gap_nodes, findings)
     velocities = wheel_velocities(rover, nodes, smoothed, held)
     slip, side, slip_sigma, side_sigma, shared = (part[chosen] for part in slips_of(velocities, motion))
     low, high = (rows[np.clip(chosen + step, 0, len(rows) - 1)] for step in (-1, 1))
@@ -192,7 +192,7 @@ def _rims(wheels: WheelMotion, low: IndexArray, high: IndexArray) -> FloatArray:
         return np.asarray((sums[high] - sums[low]) / (counts[high] - counts[low]))
 
 
-def _chosen(
+def _state_nodes(
     nodes: Nodes, drives: BoolArray, distance_m: FloatArray, gap: BoolArray, findings: Findings
 ) -> tuple[IndexArray, BoolArray]:
     """Nodes midway between positions, no closer than `LEAST_ROW_M`, and one for each halt.
@@ -263,7 +263,7 @@ class Lag:
         return {"lag_s": self.lag_s, "sigma_s": self.sigma_s, "found": self.likely}
 
 
-def say_constants(smoothed: Smoothed, nodes: Nodes, priors: Priors, lag: Lag, findings: Findings) -> None:
+def report_hypotheses(smoothed: Smoothed, nodes: Nodes, priors: Priors, lag: Lag, findings: Findings) -> None:
     """Say each hypothesis that is more probable than not, with what was found; the motion holds it."""
     mean, sigma = smoothed.posterior.mean, np.sqrt(np.diag(smoothed.posterior.covariance))
 
@@ -290,13 +290,13 @@ def say_constants(smoothed: Smoothed, nodes: Nodes, priors: Priors, lag: Lag, fi
         findings.add(one.name, one.what.format(*values), done, time_s=time_s, doubt=doubt)
 
 
-def _left_out(smoothed: Smoothed, nodes: Nodes) -> BoolArray:
+def _outliers(smoothed: Smoothed, nodes: Nodes) -> BoolArray:
     return np.asarray(nodes.fixed & (smoothed.fix_weight < HARDLY * smoothed.fix_weight[nodes.fixed].max()))
 
 
 def shifted(smoothed: Smoothed, nodes: Nodes) -> Nodes:
     """Nodes whose positions may shift just before or behind those that hardly count."""
-    fixes, out = np.flatnonzero(nodes.fixed), _left_out(smoothed, nodes)[nodes.fixed]
+    fixes, out = np.flatnonzero(nodes.fixed), _outliers(smoothed, nodes)[nodes.fixed]
     # A shift beside the first or the last position is that position's own.
     inner = list(zip(pairwise(fixes), out[1:] | out[:-1], strict=True))[1:-1]
     ways = [pair for pair, odd in inner if odd]
@@ -307,11 +307,11 @@ def shifted(smoothed: Smoothed, nodes: Nodes) -> Nodes:
 
 def left_out_of(smoothed: Smoothed, nodes: Nodes) -> FloatArray:
     """Positions that hardly count: time, x, y. (o, 3) [s, m, m]"""
-    rows = _left_out(smoothed, nodes)
+    rows = _outliers(smoothed, nodes)
     return np.column_stack([nodes.time_s[rows], nodes.fix_m[rows]])
 
 
-def say_left_out(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
+def report_outliers(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
     """Say positions and headings that hardly count, and errors that nobody can believe."""
     given = np.isfinite(nodes.yaw_rad)
     odd = given & (smoothed.yaw_weight < HARDLY)
@@ -322,7 +322,7 @@ def say_left_out(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
     if sigma < 0.5 * FINEST_M:
         what = f"positions claim errors of {1e3 * sigma:.2g} mm, which no localisation of a rover reaches"
         findings.add("errors too small", what, "kept; are they in another unit?", doubt=True)
-    left, fixes = np.flatnonzero(_left_out(smoothed, nodes)), np.flatnonzero(nodes.fixed)
+    left, fixes = np.flatnonzero(_outliers(smoothed, nodes)), np.flatnonzero(nodes.fixed)
     if not left.size:
         return
     what, done = f"{len(left)} of {len(fixes)} positions fit no motion of the wheels", "they hardly count"
@@ -413,11 +413,11 @@ def states_of(
 
     Raises DataError for telemetry that cannot be used, or that is not in the frame or the units it should be.
     """
-    sent, schedule = _turned(in_units(ordered(telemetry, findings), rover, findings), rover, findings), None
+    sent, schedule = _wheel_turns(in_units(ordered(telemetry, findings), rover, findings), rover, findings), None
     as_planned, longer_s, pace = False, 0.0, None
     if plan is not None:
         schedule = make_schedule(plan, rover)
-        sent, as_planned, longer_s = by_the_plan(sent, rover, schedule, findings)
+        sent, as_planned, longer_s = aligned_with_plan(sent, rover, schedule, findings)
     twist, way = _way(rover, sent, schedule)
     telemetry = sent.telemetry
     turned = np.degrees(np.append(0.0, np.cumsum(twist[:, 2] * np.diff(telemetry.time_s))))
@@ -427,7 +427,7 @@ def states_of(
     if meant is not telemetry:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", LunarSciWarning)
-            sent = _turned(meant, rover, Findings(meant.file))
+            sent = _wheel_turns(meant, rover, Findings(meant.file))
     sent = sent._replace(telemetry=meant)
     if plan is not None and schedule is not None:
         check_ends(meant, schedule, longer_s, findings)
@@ -435,7 +435,7 @@ def states_of(
     return dataclasses.replace(_along_the_ground(sent, rover, terrain, schedule, lag_s, findings), pace=pace)
 
 
-def _turned(telemetry: Telemetry, rover: Rover, findings: Findings) -> Rows:
+def _wheel_turns(telemetry: Telemetry, rover: Rover, findings: Findings) -> Rows:
     """How the wheels turned and were steered."""
     gaps = time_gaps(telemetry, findings)
     wheels = wheel_motion(telemetry, rover, gaps, findings)
@@ -457,33 +457,33 @@ def _along_the_ground(
     """Find the motion, and how wheels that carry the rover along it over the ground slip; `findings` takes doubts."""
     times = sent.telemetry.time_s
     between = np.column_stack([times[:-1][sent.gaps], times[1:][sent.gaps]])
-    begun = _first_motion(sent, rover, schedule, lag_s)
-    if far_s := lag_of_turns(begun.nodes, 10.0 * LATE.sigma):
+    first_motion = _first_motion(sent, rover, schedule, lag_s)
+    if far_s := lag_of_turns(first_motion.nodes, 10.0 * LATE.sigma):
         # Of two lags, none and the one that turns tell, the more probable one is taken, by what both can use.
-        common = within(sent, far_s)
+        common = overlapping(sent, far_s)
         late, none = (_first_motion(common, rover, schedule, lag_s + one) for one in (far_s, 0.0))
         gain = late.smoothed.posterior.ln_likelihood - none.smoothed.posterior.ln_likelihood
         if gain > 0.5 * (far_s / LATE.sigma) ** 2:
-            begun = _first_motion(sent, rover, schedule, lag_s + far_s)
+            first_motion = _first_motion(sent, rover, schedule, lag_s + far_s)
     for _ in range(MOST_LAGS):
-        if abs(left := float(begun.smoothed.posterior.mean[LAG])) < LINEAR_S:
+        if abs(left := float(first_motion.smoothed.posterior.mean[LAG])) < LINEAR_S:
             break
-        begun = _first_motion(sent, rover, schedule, begun.lag_s + left)
-    bare, rows, first, priors = begun.nodes, begun.rows, begun.smoothed, begun.priors
-    dense, wheels, steering, gaps = begun.sent
+        first_motion = _first_motion(sent, rover, schedule, first_motion.lag_s + left)
+    bare, rows, first, priors = first_motion.nodes, first_motion.rows, first_motion.smoothed, first_motion.priors
+    dense, wheels, steering, gaps = first_motion.sent
     if (tried := shifted(first, bare)).jumps:
         bare, priors = tried, _priors_of(tried, rover, wheels)
         first = smooth(bare, SlipProcess.coarse(), priors, first.reference.widened(bare))
     motion = motion_at(rover, dense, bare, first, wheels, steering, rows, np.zeros((1, 2)))
     stood = prescribed_loads(rover, terrain, motion)
     sway = sway_m(rover, stood.paths)
-    nodes = on_ground(rover, bare, stood, sway, priors, first.reference)
+    nodes = with_ground_effects(rover, bare, stood, sway, priors, first.reference)
     smoothed = smooth(nodes, None, priors, first.reference)
     motion = motion_at(rover, dense, nodes, smoothed, wheels, steering, rows, sway)
     held = prescribed_loads(rover, terrain, motion)
-    lag = Lag.of(smoothed.posterior, priors, begun.lag_s - lag_s)
-    say_constants(smoothed, nodes, priors, lag, findings)
-    say_left_out(smoothed, nodes, findings)
+    lag = Lag.of(smoothed.posterior, priors, first_motion.lag_s - lag_s)
+    report_hypotheses(smoothed, nodes, priors, lag, findings)
+    report_outliers(smoothed, nodes, findings)
     check_attitude(dense, held, rows, findings)
     left_out = left_out_of(smoothed, bare)
     return DriveStates(
@@ -514,7 +514,7 @@ class _FirstMotion(NamedTuple):
 
 
 def _first_motion(sent: Rows, rover: Rover, schedule: Schedule | None, lag_s: float) -> _FirstMotion:
-    sent = denser(put_back(sent, lag_s))
+    sent = densified(shifted_back(sent, lag_s))
     twist, way = _way(rover, sent, schedule)
     nodes, rows = nodes_of(sent, twist, way)
     nodes = dataclasses.replace(nodes, effect=turn_effect(nodes))

@@ -24,7 +24,7 @@ from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 from lunarsci.twin.simulation.prescribed_motion import PrescribedLoads
 from lunarsci.twin.telemetry.filter import onto_map
-from lunarsci.twin.telemetry.hypotheses import CLOCK_S, LN_ODDS, digit_of, held
+from lunarsci.twin.telemetry.hypotheses import CLOCK_S, LN_ODDS, repeated, resolution_of
 from lunarsci.twin.telemetry.reading import (
     OBEYED,
     RATE_SHARE,
@@ -88,10 +88,10 @@ def wheel_motion(telemetry: Telemetry, rover: Rover, gaps: BoolArray, findings: 
     # An encoder that hangs beside what its rate, else its command, says.
     since_start = np.cumsum(np.nan_to_num(np.where(np.isfinite(rate), rate, command)), axis=0)
     expected = np.vstack([np.zeros_like(since_start[:1]), since_start])
-    last = np.array([digit_of(column) for column in telemetry.angle_deg.T])
+    last = np.array([resolution_of(column) for column in telemetry.angle_deg.T])
     digits = np.hypot(SIGMA_DEG, 0.5 * np.where(np.isfinite(last), last, 0.0))
     hung = np.column_stack(
-        [held(one, 1.0, *beside) for one, *beside in zip(telemetry.angle_deg.T, expected.T, digits, strict=True)]
+        [repeated(one, 1.0, *beside) for one, *beside in zip(telemetry.angle_deg.T, expected.T, digits, strict=True)]
     )
     # The step at which an encoder that hung moves on holds all it missed.
     angle[hung[1:] | hung[:-1]] = np.nan
@@ -102,7 +102,7 @@ def wheel_motion(telemetry: Telemetry, rover: Rover, gaps: BoolArray, findings: 
     rates = {"command": telemetry.speed_m_s / per_deg, "rate": telemetry.rate_deg_s}
     went = _turns(turns, _sigma(turns, rates, digits, steps), rover.max_speed_m_s / per_deg * (steps + CLOCK_S), gaps)
     measured = np.where(went.counts, angle - 360.0 * went.wraps, np.where(went.tells, rate, np.nan)) / steps
-    _say(telemetry, rover, went, hung[1:], ~np.isfinite(measured), findings)
+    _report(telemetry, rover, went, hung[1:], ~np.isfinite(measured), findings)
     rim, given = per_deg * np.where(np.isfinite(measured), measured, command / steps), np.isfinite(measured)
     fast = np.abs(rim[np.isfinite(rim)])
     usual = float(np.median(fast[fast > STILL * fast.max()])) if fast.size and fast.max() > 0 else 0.0
@@ -233,7 +233,7 @@ def _clock(angle: FloatArray, expected: FloatArray, sigma: FloatArray) -> FloatA
     return np.where(most & (gain + LN_ODDS["clock step"] > 0) & (ratio >= 0), ratio, 1.0)
 
 
-def _say(
+def _report(
     telemetry: Telemetry, rover: Rover, went: _Turns, hung: BoolArray, lost: BoolArray, findings: Findings
 ) -> None:
     """Say what does not tell the turn of a wheel, or tells it otherwise."""

@@ -299,7 +299,7 @@ REFUSED: dict[str, tuple[Spoil, str]] = {
         ),
         "speed_W_m_s looks like cm/s, or speed_W_m_s looks like mm/s",
     ),
-    "no covariance at all": (set_to(ALL, ["xx_m2"], lambda v: -v), "11 have errors that are no covariance"),
+    "no covariance at all": (set_to(ALL, ["xx_m2"], lambda v: -v), "11 have errors that are none"),
     "one position": (lambda t: t.assign(x_m=t.x_m.where(t.index == 0)), "1 positions of use"),
     "wheels of another rover": (
         lambda t: t.rename(columns=lambda c: c.replace("_ML_", "_M1_").replace("_MR_", "_M2_")), "'M1' is no wheel",
@@ -317,7 +317,7 @@ REFUSED: dict[str, tuple[Spoil, str]] = {
     "still": (
         set_to(ALL, columns("angle_{}_deg", "rate_{}_deg_s", "speed_{}_m_s"), lambda v: 0.0 * v), "no wheel turns",
     ),
-    "no heading": (lambda t: t.assign(yaw_deg=np.nan), "side slip needs yaw_deg"),
+    "no heading": (lambda t: t.assign(yaw_deg=np.nan), "0 headings of use"),
 }  # fmt: skip
 
 
