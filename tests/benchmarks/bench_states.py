@@ -21,10 +21,10 @@ from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import build_rover
 from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction, predict
+from lunarsci.twin.telemetry.hypotheses import RIM_SIGMA
 from lunarsci.twin.telemetry.reading import Findings, read_telemetry
 from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive
 from lunarsci.twin.telemetry.sinkage import read_track, with_sinkage
-from lunarsci.twin.telemetry.smoother import RIM_SIGMA
 from lunarsci.twin.telemetry.states import DriveStates, states_of
 
 PLAN = Plan(name="arcs", legs=(Leg(3.5, 0.15), Leg(3.5, -0.13)), speed_m_s=0.05)

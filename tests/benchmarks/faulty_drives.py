@@ -437,7 +437,11 @@ def case(task: tuple[int, str, str, bool]) -> dict[str, Any]:
     except DataError as refused:
         return row | {"refused": str(refused), "cpu_s": time.process_time() - begin}
     row |= {"refused": "", "doubt": findings.doubt, "cpu_s": time.process_time() - begin}
-    return row | {"doubts": [one.kind for one in findings.entries if one.doubt]} | scores(states, truth)
+    kinds = {
+        f"{name}s": [one.kind for one in findings.entries if one.doubt or name == "finding"]
+        for name in ("doubt", "finding")
+    }
+    return row | kinds | scores(states, truth)
 
 
 def share(values: pd.Series, soils: pd.Series) -> str:
@@ -450,7 +454,7 @@ def share(values: pd.Series, soils: pd.Series) -> str:
 
 def report(rows: list[dict[str, Any]]) -> str:
     """Of each kind and of all, and what the doubts are of."""
-    every, lines, doubts = pd.json_normalize(rows), {}, []
+    every, lines, said = pd.json_normalize(rows), {}, []
     for kind, own in (*every.groupby("kind", sort=False), ("all", every)):
         sure = own[(own.refused == "") & (own.doubt == "")]
         middle = sure.median(numeric_only=True)
@@ -464,11 +468,15 @@ def report(rows: list[dict[str, Any]]) -> str:
                 "slip_ratio.sigma", "slip_ratio.rms", "side_slip_deg.sigma", "side_slip_deg.rms", "end_m_error",
                 "end_radius_90_m", "cpu_s")},
         }  # fmt: skip
-        found = Counter(name for names in own.doubts for name in set(names))
-        doubts.append(f"  {kind}: {', '.join(f'{name} {count}' for name, count in found.most_common()) or 'none'}")
+        for column in ("doubts", "findings"):
+            count = Counter(name for names in own[column].dropna() for name in set(names))
+            listed = ", ".join(f"{name} {times}" for name, times in count.most_common()) or "none"
+            said.append(f"  {kind}, {column}: {listed}")
     head = "Shares in %; of states, ends and errors those of drives without doubt (exit 0). Medians of errors."
     told = [f"  refused, {row['kind']} {row['number']}: {row['refused']}" for row in rows if row["refused"]]
-    return "\n".join([head, pd.DataFrame(lines).T.to_string(), "Doubts, by kind of fault (drives):", *doubts, *told])
+    return "\n".join(
+        [head, pd.DataFrame(lines).T.to_string(), "Doubts and findings, by kind of fault (drives):", *said, *told]
+    )
 
 
 def main() -> None:

@@ -19,8 +19,8 @@ from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.plans.plan import Leg, Plan
 from lunarsci.twin.rover import build_rover
 from lunarsci.twin.simulation.ensemble import predict
+from lunarsci.twin.telemetry.checks import with_positions
 from lunarsci.twin.telemetry.reading import Findings, Positions, joint_m2, read_telemetry
-from lunarsci.twin.telemetry.readings import with_positions
 from lunarsci.twin.telemetry.simulated import SensorErrors, simulate_telemetry
 from lunarsci.twin.telemetry.states import states_of
 

@@ -1,6 +1,6 @@
 """How far slips of `twin states` move with constants of telemetry: `python tests/benchmarks/telemetry_constants.py`.
 
-Each constant of `TRIED` is made so many times as large, or a grid so many times as fine, in two drives of
+Each constant of `TRIED` is made so many times as large, or a grid so many times as fine, in some drives of
 `faulty_drives.py`; printed is the farthest that a slip or side slip moves, in its standard errors.
 """
 
@@ -8,22 +8,23 @@ import warnings
 from functools import cache
 
 import numpy as np
-from faulty_drives import KINDS, telemetry_of, terrain_of, truth_of
+from faulty_drives import KINDS, SPOILS, telemetry_of, terrain_of, truth_of
 
 from lunarsci.arrays import FloatArray
 from lunarsci.io.inputs import InputFile
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import build_rover
 from lunarsci.twin.telemetry import filter as motion_filter
-from lunarsci.twin.telemetry import nodes, reading, smoother, states, wheel_motion
+from lunarsci.twin.telemetry import hypotheses, nodes, reading, smoother, states, wheel_motion
 
-DRIVES = ((1, "healthy"), (6, "walking"))
-MODULES = (reading, wheel_motion, motion_filter, smoother, nodes, states)
-TRIED = {
-    "START_M": (10.0,), "START_RAD": (10.0,), "POSITION_M_PER_STEP": (0.5, 2.0), "TURN_PER_STEP": (0.5, 2.0),
-    "AGREEMENT": (0.5, 2.0), "LEAST_EFFECT": (0.5, 2.0), "BLOCK_M": (0.5, 2.0),
-    "STIFFNESSES": (2.0,), "AMPLITUDES": (2.0,), "LENGTHS_M": (2.0,),
-}  # fmt: skip
+DRIVES = ((1, "healthy"), (6, "walking"), (5, "lag"), (0, "gaps"), (2, "gaps"), (1, "coarse"))
+MODULES = (reading, hypotheses, wheel_motion, motion_filter, smoother, nodes, states)
+HALVES = (
+    "POSITION_M_PER_STEP", "TURN_PER_STEP", "AGREEMENT", "LEAST_EFFECT", "BLOCK_M", "LOOSE_M", "BEND_M", "LINEAR_S",
+    "WIDTH", "SHARES", "LEAST_LOAD", "STILL", "UNDER_WAY", "SIGMA_DEG", "RATE_SHARE", "OBEYED", "SAME_S",
+)  # fmt: skip
+TRIED: dict[str, tuple[float, ...]] = dict.fromkeys(HALVES, (0.5, 2.0))
+TRIED |= {"START_M": (10.0,), "START_RAD": (10.0,), "STIFFNESSES": (2.0,), "AMPLITUDES": (2.0,), "LENGTHS_M": (2.0,)}
 
 
 def finer(grid: tuple[float, ...], times: float) -> tuple[float, ...]:
@@ -35,8 +36,13 @@ def finer(grid: tuple[float, ...], times: float) -> tuple[float, ...]:
 @cache
 def sent(number: int, kind: str) -> tuple[InputFile, Plan]:
     """Telemetry of a drive, and its plan."""
-    rover, random = build_rover("yutu2"), np.random.default_rng([number, KINDS.index(kind), 5])
-    table, _, plan, _ = telemetry_of(truth_of(number, kind, rover, None), kind, rover, random)
+    rover, spoil = build_rover("yutu2"), SPOILS.get(kind)
+    random = np.random.default_rng(
+        [number, KINDS.index(kind), 5] if spoil is None else [number, [*SPOILS].index(kind), 9]
+    )
+    sound = kind if spoil is None else "healthy"
+    table, _, plan, _ = telemetry_of(truth_of(number, sound, rover, None), sound, rover, random)
+    table = table if spoil is None else spoil(table, rover, random)
     return InputFile("drive.csv", table.to_csv(index=False).encode()), plan
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
 from lunarsci.io.inputs import InputFile, read_input, text
-from lunarsci.io.tables import csv_bytes, numbers_of, read_csv_table
+from lunarsci.io.tables import check_columns, csv_bytes, numbers_of, read_csv_table
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.plans.motion import GAP
@@ -118,16 +118,14 @@ def read_public_drive(source: Any) -> PublicDrive | None:
 
 def trials_in(path: str) -> list[str]:
     """The drives below a folder or a pattern, sorted; a file, or a folder that is a drive, is one. Raises DataError."""
-    if glob.has_magic(path) and not Path(path).exists():
-        result = sorted(glob.glob(path, recursive=True))  # noqa: PTH207
-        if not result:
-            raise DataError(f"{path}: matches nothing; check the pattern")
-        return [trial for one in result for trial in trials_in(one)]
-    folder = Path(path)
-    if not folder.is_dir() or any((folder / file).is_file() for file in LAYOUTS):
-        return [path]
-    files = [result for file in LAYOUTS for result in folder.rglob(file)]
-    below = sorted(str(result.parent) for result in files if not OFF_NOMINAL & {*result.relative_to(folder).parts})
+    folder, below = Path(path), list[str]()
+    if glob.has_magic(path) and not folder.exists():
+        below = [trial for one in sorted(glob.glob(path, recursive=True)) for trial in trials_in(one)]  # noqa: PTH207
+    elif not folder.is_dir() or any((folder / file).is_file() for file in LAYOUTS):
+        below = [path]
+    else:
+        files = [file for layout in LAYOUTS for file in folder.rglob(layout)]
+        below = sorted(str(file.parent) for file in files if not OFF_NOMINAL & {*file.relative_to(folder).parts})
     if not below:
         raise DataError(f"{path}: no drive in it: neither {' nor '.join(LAYOUTS)}; name folders or files of drives")
     return below
@@ -145,8 +143,7 @@ def _is_captured(path: Path) -> bool:
 def _captured(name: str, path: Path) -> PublicDrive:
     file = read_input(path)
     table = read_csv_table(file)
-    if missing := [column for column in CAPTURED if column not in table]:
-        raise DataError(f"{file.name}: no column {missing[0]}; is it a {PROCESSED} of Rover Mobility?")
+    check_columns(file.name, table.columns, tuple(table.columns), CAPTURED)
     values = {column: numbers_of(file.name, column, table[column]) for column in CAPTURED}
     place = np.column_stack([values[f"pos_{axis}"] for axis in "xyz"])
     attitude = _attitude(np.column_stack([values[f"quat_{axis}"] for axis in "xyzw"]))
@@ -175,8 +172,6 @@ def _with_gps(name: str, path: Path) -> PublicDrive:
     folder = path.parent
     files = [read_input(path)]
     encoders = _rows(files[0], 9)
-    if not (folder / POSES).is_file():
-        raise DataError(f"{name}: no {POSES} beside {ENCODERS}, which has the headings; put it there")
     files.append(read_input(folder / POSES))
     poses = _rows(files[1], 8)
     attitude = _attitude(poses[:, 4:8])
@@ -208,11 +203,9 @@ LAYOUTS: dict[str, Callable[[str, Path], PublicDrive]] = {PROCESSED: _captured, 
 def _rows(file: InputFile, columns: int) -> FloatArray:
     """Numbers of a table in the order of time, by place: its header is a comment, whose names hold commas."""
     try:
-        rows = np.loadtxt(text(file).splitlines(), delimiter=",", ndmin=2)
+        rows = np.loadtxt(text(file).splitlines(), delimiter=",", ndmin=2, usecols=range(columns))
     except ValueError as error:
-        raise DataError(f"{file.name}: {error}; a table of {columns} numbers a row is wanted") from error
-    if rows.shape[1] != columns or len(rows) < 2:
-        raise DataError(f"{file.name}: has no rows of {columns} numbers; is the file complete?")
+        raise DataError(f"{file.name}: {error}; rows of {columns} numbers are needed") from error
     _, first = np.unique(rows[:, 0], return_index=True)
     return np.asarray(rows[first])
 
@@ -253,9 +246,6 @@ def _drive(
 ) -> PublicDrive:  # fmt: skip
     import pandas as pd
 
-    for what, values in (("position", place_m), ("heading", attitude_deg)):
-        if np.isfinite(values).all(axis=1).sum() < 2:
-            raise DataError(f"{name}: fewer than two rows have a {what}; the drive cannot be followed")
     fixed = np.isfinite(place_m).all(axis=1)
     columns: dict[str, Any] = {
         "time_s": time_s,

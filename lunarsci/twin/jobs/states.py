@@ -18,9 +18,9 @@ from lunarsci.twin.ground.terrain import Terrain, read_terrain
 from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
 from lunarsci.twin.jobs.requests import StatesRequest
 from lunarsci.twin.plans.plan import Plan
+from lunarsci.twin.telemetry.checks import with_positions
 from lunarsci.twin.telemetry.filter import EFFECTS
 from lunarsci.twin.telemetry.reading import Findings, read_positions, read_telemetry
-from lunarsci.twin.telemetry.readings import with_positions
 from lunarsci.twin.telemetry.sinkage import RutPoints, is_table_of_ruts, read_track, with_sinkage
 from lunarsci.twin.telemetry.states import DriveStates, motion_table, position_table, states_of, wheel_table
 

@@ -20,19 +20,42 @@ from lunarsci.twin.plans.path import RAMP_COUNTS_S, RAMP_S, Schedule, commands_a
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact import VALID_SLIP
+from lunarsci.twin.simulation.prescribed_motion import PrescribedLoads
+from lunarsci.twin.telemetry.hypotheses import LN_ODDS, REPORTED, repeat_chance, repeated
 from lunarsci.twin.telemetry.nodes import Rows
-from lunarsci.twin.telemetry.reading import STILL, SURE, Findings, Telemetry, held
-from lunarsci.twin.telemetry.wheel_motion import PACE, UNDER_WAY, mean_speed
+from lunarsci.twin.telemetry.reading import LEAST_ROW_M, OBEYED, STILL, SURE, UNDER_WAY, Findings, Positions, Telemetry
+from lunarsci.twin.telemetry.wheel_motion import PACE, mean_speed
 
 LEAST_ROWS = 5
 FAST = "fast slip"
 """Kind of a finding."""
-LEAST_ROW_M = 0.3
-"""Way between rows of states where positions are denser, and within which standstills are one halt, assumed: a rover's
-slip does not change faster. [m]"""
+STEERED_DEG = 0.5
+"""Standard error of one steering angle from another, as measured from commanded; assumed. [deg]"""
+STEERING_DEG = STEERED_DEG * math.sqrt(
+    2.0 * (math.log(360.0 / (math.sqrt(2.0 * math.pi) * STEERED_DEG)) - LN_ODDS["reading"])
+)
+"""Difference from which it is more probable that one of the two says nothing: it may be any angle then. [deg]"""
+FEWEST_RATES = 5
+AGAINST_PLAN = "wheels against plan"
+"""Kind of the finding; a soil is found with a plan of its own, so that it does not stay with the states."""
+STEP_M, MOST_TRIED = 0.05, 500
+"""Step between the ways tried, by which the way differs where the plan is right, and up to which other commands are
+unsaid; number of them, and of rows; assumed. [m]"""
+HALT = "unplanned halt"
+"""Kind of a finding: states are right, and a soil learned with the plan is not."""
+START_M, HEADING_DEG = 0.5, 10.0
+"""How far the first position and heading may be from the plan's start; assumed. [m, deg]"""
+EDGE_S = 5.0
+"""How much of a plan may be missing at its ends, and a halt be longer than planned, unsaid, and how long a rover may
+take to steer to its first leg without doubt; assumed. [s]"""
+STOP_COSTS_S = 2.0 * (RAMP_S - RAMP_COUNTS_S)
+"""What slowing down and speeding up again cost, beside the halt itself, by the ramps of a schedule. [s]"""
+ATTITUDE_DEG, FOLLOWS, MOUNTED_DEG = 1.5, 0.6, 3.0
+"""Median difference of roll or pitch from the terrain's beyond which it is said [deg], or as a share of its slope where
+that is more; and by how much their sensor may be turned on the rover [deg]; assumed."""
 
 
-def taken(telemetry: Telemetry, rows: IndexArray | BoolArray) -> Telemetry:
+def subset(telemetry: Telemetry, rows: IndexArray | BoolArray) -> Telemetry:
     """Some rows of telemetry, as a mask or by number."""
     arrays: dict[str, Any] = {name: value[rows] for name, value in _arrays(telemetry).items()}
     return dataclasses.replace(telemetry, **arrays)
@@ -54,7 +77,7 @@ def ordered(telemetry: Telemetry, findings: Findings) -> Telemetry:
     lost = ~np.isfinite(telemetry.time_s)
     if lost.any():
         findings.add("no time", f"{lost.sum()} rows without a time_s", "left out", count=int(lost.sum()))
-        telemetry = taken(telemetry, ~lost)
+        telemetry = subset(telemetry, ~lost)
     if (np.diff(telemetry.time_s) <= 0).any():
         telemetry = _in_order(telemetry, findings)
     if len(telemetry.time_s) < LEAST_ROWS:
@@ -68,7 +91,7 @@ def _in_order(telemetry: Telemetry, findings: Findings) -> Telemetry:
     content = np.column_stack([value.reshape(len(value), -1) for value in _arrays(telemetry).values()])
     again = pd.DataFrame(content).duplicated().to_numpy()
     findings.of_rows("repeated rows", f"{again.sum()} rows repeat another one", "left out", again, telemetry.time_s)
-    telemetry = taken(telemetry, ~again)
+    telemetry = subset(telemetry, ~again)
     steps = np.diff(telemetry.time_s)
     if (back := np.flatnonzero(steps < 0)).size:
         row = int(back[0])
@@ -79,7 +102,7 @@ def _in_order(telemetry: Telemetry, findings: Findings) -> Telemetry:
                 "are out of order; split the file there, or sort it if the times are right"
             )
         findings.add("rows out of order", f"time runs backwards, first {what}", "sorted by time", count=back.size)
-        telemetry = taken(telemetry, np.argsort(telemetry.time_s, kind="stable"))
+        telemetry = subset(telemetry, np.argsort(telemetry.time_s, kind="stable"))
     if not (np.diff(telemetry.time_s) == 0).any():
         return telemetry
     columns: dict[str, Any] = {}
@@ -103,20 +126,15 @@ def time_gaps(telemetry: Telemetry, findings: Findings) -> BoolArray:
     return gaps
 
 
-OFF_DEG, STEERED_DEG = 5.0, 0.5
-"""Difference of measured and commanded steering that no motor on its way makes, and standard error of one from the
-other; assumed. [deg]"""
-
-
 def steering_angles(telemetry: Telemetry, rover: Rover, findings: Findings) -> tuple[FloatArray, BoolArray]:
     """Steering of every row and wheel, and where it is known, not found from the rows beside. (n, wheels) [deg]
 
     Readings that hang or jump away from the command are replaced by it and said. Raises DataError for a wheel that has
-    none, and for angles beyond 90 degrees.
+    none.
     """
     measured, commanded = telemetry.steered_deg.copy(), telemetry.steering_deg
     for k, wheel in enumerate(rover.wheels):
-        _mend(telemetry, k, wheel, measured, commanded, findings)
+        _replace_faulty(telemetry, k, wheel, measured, commanded, findings)
     angle = np.where(np.isfinite(measured), measured, commanded)
     given = np.isfinite(angle)
     for k, (wheel, rows) in enumerate(zip(rover.wheels, given.T, strict=True)):
@@ -126,12 +144,10 @@ def steering_angles(telemetry: Telemetry, rover: Rover, findings: Findings) -> t
         done = "found from the rows beside; its states are not valid there"
         findings.of_rows("missing steering", what, done, ~rows, telemetry.time_s)
         angle[:, k] = np.interp(telemetry.time_s, telemetry.time_s[rows], angle[rows, k])
-    if np.abs(angle).max() > 90.0:
-        raise DataError(f"{telemetry.file}: steering angles reach {np.abs(angle).max():.4g} deg; give -90 to 90 deg")
     return angle, given
 
 
-def _mend(
+def _replace_faulty(
     telemetry: Telemetry, k: int, wheel: str, measured: FloatArray, commanded: FloatArray, findings: Findings
 ) -> None:
     """Put the command in the place of readings that hang or spike, in one wheel's column of `measured`.
@@ -142,22 +158,25 @@ def _mend(
     if not both.any():
         return
     hung, off = np.zeros((2, len(both)), dtype=bool)
-    hung[both] = held(measured[both, k], 1.0, commanded[both, k], STEERED_DEG)
-    off[both] = np.abs(measured[both, k] - commanded[both, k]) > OFF_DEG
+    hung[both] = repeated(measured[both, k], 1.0, commanded[both, k], STEERED_DEG)
+    # A motor is on its way for a step.
+    change = np.abs(np.diff(commanded[:, k], prepend=commanded[0, k], append=commanded[-1, k]))
+    allowed = STEERING_DEG + np.nan_to_num(np.maximum(change[1:], change[:-1]))
+    off[both] = np.abs(measured[both, k] - commanded[both, k]) > allowed[both]
     off &= ~hung
     obeyed = not np.median(off[both])
     for kind, rows, what, mended in (
         ("stuck", hung, f"the steering angle of wheel {wheel} stays the same while it is told to change", True),
-        ("odd steering", off, f"the steering angle of wheel {wheel} is over {OFF_DEG:g} deg off its command", obeyed),
+        (
+            "odd steering",
+            off,
+            f"the steering angle of wheel {wheel} is over {STEERING_DEG:.2g} deg off its command",
+            obeyed,
+        ),
     ):
         done = "the command is taken there" if mended else "the measured angle is taken"
         findings.of_rows(kind, what, done, rows, telemetry.time_s, doubt=not mended)
         measured[rows & mended, k] = commanded[rows & mended, k]
-
-
-FEWEST_RATES = 5
-AGAINST_PLAN = "wheels against plan"
-"""Kind of the finding; a soil is found with a plan of its own, so that it does not stay with the states."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
@@ -283,54 +302,32 @@ def check_slips(slip: FloatArray, measured: BoolArray, time_s: FloatArray, findi
     findings.of_rows(FAST, what, done, fast, time_s)
 
 
-STEERING_DEG, SPEED_SHARE = 2.0, 0.25
-"""How far a row's commands may be off the plan's: steering, and rim speed as a share of the mean of the rims;
-assumed."""
-LN_OFF_M, LN_OFFSET = -16.0, -7.0
-"""ln of the odds of a metre of way with other commands, and of another clock; assumed."""
-SOME, MOST, COVERED = 0.01, 0.4, 0.6
-"""Share of the way that may be off unsaid; beyond which it is another plan; and that must lie within the plan;
-assumed."""
-STEP_M, MOST_TRIED = 0.05, 500
-"""Step between the ways tried, by which the way differs where the plan is right, and number of them, and of rows;
-assumed. [m]"""
-HALT = "unplanned halt"
-"""Kind of a finding: states are right, and a soil learned with the plan is not."""
-START_M, HEADING_DEG = 0.5, 10.0
-"""How far the first position and heading may be from the plan's start; assumed. [m, deg]"""
-EDGE_S = 5.0
-"""How much of a plan may be missing at its ends, and a halt be longer than planned, unsaid, and how long a rover may
-take to steer to its first leg without doubt; assumed. [s]"""
-STOP_COSTS_S = 2.0 * (RAMP_S - RAMP_COUNTS_S)
-"""What slowing down and speeding up again cost, beside the halt itself, by the ramps of a schedule. [s]"""
-
-
-def by_the_plan(sent: Rows, rover: Rover, schedule: Schedule, findings: Findings) -> tuple[Rows, bool, float]:
+def aligned_with_plan(sent: Rows, rover: Rover, schedule: Schedule, findings: Findings) -> tuple[Rows, bool, float]:
     """Telemetry by the clock of a plan; whether its commands are the plan's, and how much longer it stood still. [s]
 
     Another clock is found by the commands, and said. So are halts that the plan does not have, and other commands.
     """
-    if schedule.plan.fixes is not None or (beside := _Beside.of(sent, rover, schedule)) is None:
+    if schedule.plan.fixes is not None or (beside := _PlanMatch.of(sent, rover, schedule)) is None:
         return sent, False, 0.0
-    late_s = _say_clock(sent.telemetry, beside, findings)
+    late_s = _report_clock(sent.telemetry, beside, findings)
     # What was found, and what will be, is by the clock that all else of the result is by.
     beside.sent = beside.sent._replace(time_s=beside.sent.time_s - late_s)
     findings.entries[:] = [
         one if one.time_s is None else replace(one, time_s=one.time_s - late_s) for one in findings.entries
     ]
-    halts = beside.halts() if beside.share_off <= MOST else ()
-    _say_halts(halts, schedule, findings)
-    as_planned = beside.share_off <= SOME or not _say_commands(beside, findings)
-    return _later(sent, late_s), as_planned, sum(halt.longer_s for halt in halts)
+    halts = beside.halts() if beside.share_off <= REPORTED else ()
+    _report_halts(halts, schedule, findings)
+    as_planned = beside.off_m <= STEP_M or not _report_commands(beside, findings)
+    return _starting_later(sent, late_s), as_planned, sum(halt.longer_s for halt in halts)
 
 
-def _later(sent: Rows, start_s: float) -> Rows:
+def _starting_later(sent: Rows, start_s: float) -> Rows:
     """The same by a clock that starts later, without what was before."""
     if not start_s:
         return sent
     telemetry, wheels, steering, gaps = sent
     first = int(np.searchsorted(telemetry.time_s, start_s))
-    rows = taken(telemetry, np.arange(first, len(telemetry.time_s)))
+    rows = subset(telemetry, np.arange(first, len(telemetry.time_s)))
     rests = tuple((begin - start_s, end - start_s) for begin, end in telemetry.rests_s)
     rows = replace(rows, time_s=rows.time_s - start_s, start_s=telemetry.start_s + start_s, rests_s=rests)
     steps = {name: getattr(wheels, name)[first:] for name in ("rim_m_s", "measured", "trusted")}
@@ -341,29 +338,25 @@ def check_ends(telemetry: Telemetry, schedule: Schedule, longer_s: float, findin
     """Say where telemetry begins or ends otherwise than its plan, which halts made so much longer."""
     plan, end = schedule.plan, schedule.duration_s + longer_s
     first, last = float(telemetry.time_s[0]), float(telemetry.time_s[-1])
-    if first > EDGE_S:
-        what = f"telemetry begins {first:.4g} s after the plan"
-        findings.add("late begin", what, "there are no states before", time_s=first)
-    if last < end - EDGE_S:
-        what = f"telemetry ends {end - last:.4g} s before the plan: cut off, or the drive was stopped"
-        findings.add("early end", what, "there are no states after", time_s=last)
-    if last > end + EDGE_S:
-        what = f"telemetry goes on for {last - end:.4g} s after the plan's end"
-        done = "kept; is it the plan that was driven? `until` leaves out what was after"
-        findings.add("late end", what, done, time_s=last)
-    rows = np.flatnonzero(np.isfinite(telemetry.yaw_deg))
-    if rows.size and telemetry.time_s[rows[0]] <= EDGE_S:
+    for kind, off_s, time_s, what, done in (
+        ("late begin", first, first, "begins {:.4g} s after the plan", "there are no states before"),
+        ("early end", end - last, last, "ends {:.4g} s before the plan: cut off, or the drive was stopped",
+         "there are no states after"),
+        ("late end", last - end, last, "goes on for {:.4g} s after the plan's end",
+         "kept; is it the plan that was driven? `until` leaves out what was after"),
+    ):  # fmt: skip
+        if off_s > EDGE_S:
+            findings.add(kind, f"telemetry {what.format(off_s)}", done, time_s=time_s)
+    wrong, early = list[str](), telemetry.time_s <= EDGE_S
+    if (rows := np.flatnonzero(np.isfinite(telemetry.yaw_deg) & early)).size:
         off = float(np.remainder(telemetry.yaw_deg[rows[0]] - plan.heading_deg + 180.0, 360.0) - 180.0)
-        if abs(off) > HEADING_DEG:
-            what = f"the first heading is {off:.3g} deg off the plan's: another frame, or another plan"
-            findings.add("another start", what, "kept as it is", doubt=True)
-    rows = np.flatnonzero(telemetry.fixed)
-    if rows.size and telemetry.time_s[rows[0]] < EDGE_S:
+        wrong += [f"heading is {off:.3g} deg off the plan's"] * (abs(off) > HEADING_DEG)
+    if (rows := np.flatnonzero(telemetry.fixed & early)).size:
         off = float(np.hypot(*(telemetry.fix_m[rows[0]] - [plan.x_m, plan.y_m])))
         sigma = float(np.sqrt(np.trace(telemetry.fix_covariance_m2[rows[0]])))
-        if off > START_M + SURE * sigma:
-            what = f"the first position is {off:.3g} m from the plan's start: another frame, or another plan"
-            findings.add("another start", what, "kept as it is", doubt=True)
+        wrong += [f"position is {off:.3g} m from the plan's start"] * (off > START_M + SURE * sigma)
+    for what in wrong:
+        findings.add("another start", f"the first {what}: another frame, or another plan", "kept as it is", doubt=True)
 
 
 class _Halt(NamedTuple):
@@ -379,7 +372,7 @@ class _Halt(NamedTuple):
     planned: bool
 
 
-class _AlongWay(NamedTuple):
+class _CommandsAlongWay(NamedTuple):
     """Commands over the way of the rims, in rows or steps in which these move.
 
     Time (n,) [s]; way (n,) [m]; steering [deg], or where no wheel is steered speed of each rim over their mean
@@ -392,7 +385,9 @@ class _AlongWay(NamedTuple):
     speed_m_s: float
 
     @classmethod
-    def of(cls, time_s: FloatArray, speed_m_s: FloatArray, command: FloatArray, gaps: BoolArray) -> "_AlongWay | None":
+    def of(
+        cls, time_s: FloatArray, speed_m_s: FloatArray, command: FloatArray, gaps: BoolArray
+    ) -> "_CommandsAlongWay | None":
         """From times (n,), mean speed of the rims between them and gaps (n - 1,), and commands; None where nothing
         moves."""
         fast = speed_m_s > UNDER_WAY * np.max(speed_m_s, initial=0.0)
@@ -405,7 +400,7 @@ class _AlongWay(NamedTuple):
         return cls(time_s[rows], way[rows], command[rows], float(np.median(speed_m_s[fast])))
 
 
-class _Beside:
+class _PlanMatch:
     """Rows of telemetry in which wheels turn, beside the commands of a plan at the same way.
 
     Attributes
@@ -414,21 +409,21 @@ class _Beside:
     offset_m : of the way of the rows behind that of the plan, as it fits best.
     planned_s, late_s : when the plan has each row, and by how much the row is later at the drive's pace. (n,) [s]
     off : rows whose commands are not the plan's; `inside` are rows within the plan. (n,), (n,)
-    share_off : of the way; 1 where too little of it lies within the plan.
+    off_m, share_off : way with other commands [m], and its share; 1 where too little lies within the plan.
     """
 
-    def __init__(self, sent: _AlongWay, plan: _AlongWay, schedule: Schedule, rover: Rover) -> None:
+    def __init__(self, sent: _CommandsAlongWay, plan: _CommandsAlongWay, schedule: Schedule, rover: Rover) -> None:
         self.rover, self.schedule, self.plan = rover, schedule, plan
-        self.allowed = STEERING_DEG if rover.steered_mask.any() else SPEED_SHARE
+        self.allowed = STEERING_DEG if rover.steered_mask.any() else OBEYED
         pace, end = sent.speed_m_s / plan.speed_m_s, float(plan.way_m[-1])
         begin = float(np.interp(sent.time_s[0], plan.time_s, plan.way_m))
-        tried = list[tuple[float, _AlongWay, float, float]]()
+        tried = list[tuple[float, _CommandsAlongWay, float, float]]()
         # Faster wheels go as far in less time, or are of another size and go farther.
         for scale, faster in ((1.0, pace), (pace, 1.0)):
             one = sent._replace(way_m=sent.way_m / scale)
             by_clock = begin - float(one.way_m[0])
             tried.append((self._ln_of(one, by_clock), one, by_clock, faster))
-        if max(ln for ln, *_ in tried) < LN_OFFSET:
+        if max(ln for ln, *_ in tried) < LN_ODDS["clock offset"]:
             for _, one, _, faster in tuple(tried):
                 last = float(one.way_m[-1])
                 step = max(STEP_M, (last + end) / MOST_TRIED)
@@ -439,18 +434,19 @@ class _Beside:
                     # Of offsets that are as good the plan's begin, else the middle one.
                     ln, alike = float(values.max()), np.sort(near[values == values.max()])
                     offset_m = 0.0 if (alike == 0.0).any() else float(alike[len(alike) // 2])
-                tried.append((ln + LN_OFFSET, one, offset_m, faster))
+                tried.append((ln + LN_ODDS["clock offset"], one, offset_m, faster))
         _, self.sent, self.offset_m, faster = max(tried, key=lambda one: one[0])
         way, length = self.sent.way_m, np.gradient(self.sent.way_m)
         self.off, self.inside = self._compared(self.sent, self.offset_m)
         self.planned_s = np.interp(way + self.offset_m, plan.way_m, plan.time_s)
         self.late_s = sent.time_s - self.planned_s / faster
         within = float(length[self.inside].sum())
-        short = within < COVERED * min(float(length.sum()), end)
-        self.share_off = 1.0 if short else float((length * self.off.any(axis=1))[self.inside].sum()) / within
+        short = within < REPORTED * min(float(length.sum()), end)
+        self.off_m = float((length * self.off.any(axis=1))[self.inside].sum())
+        self.share_off = 1.0 if short else self.off_m / within
 
     @classmethod
-    def of(cls, sent: Rows, rover: Rover, schedule: Schedule) -> "_Beside | None":
+    def of(cls, sent: Rows, rover: Rover, schedule: Schedule) -> "_PlanMatch | None":
         """Of all rows; None where no wheel turns."""
         telemetry, rims = sent.telemetry, sent.wheels.rim_m_s
         grid = np.linspace(0.0, schedule.duration_s, max(3, math.ceil(schedule.duration_s / 0.1)))
@@ -463,19 +459,21 @@ class _Beside:
             steering = np.where(np.isfinite(telemetry.steering_deg), telemetry.steering_deg, telemetry.steered_deg)
             command = [steering, np.degrees(commands.steering_rad)]
         gaps = sent.gaps, np.zeros(len(grid) - 1, dtype=bool)
-        made = [_AlongWay.of(*one) for one in zip((telemetry.time_s, grid), means, command, gaps, strict=True)]
+        made = [_CommandsAlongWay.of(*one) for one in zip((telemetry.time_s, grid), means, command, gaps, strict=True)]
         return None if made[0] is None or made[1] is None else cls(made[0], made[1], schedule, rover)
 
-    def _ln_of(self, sent: _AlongWay, offset_m: float) -> float:
+    def _ln_of(self, sent: _CommandsAlongWay, offset_m: float) -> float:
         """ln of how probable an offset is, up to a constant."""
         some = slice(None, None, 1 + len(sent.way_m) // MOST_TRIED)
         off, inside = self._compared(sent, offset_m, some)
         steps = np.gradient(sent.way_m)[some] * len(sent.way_m) / len(off)
         # Of the way in one, the part that is not in the other is as wrong as other commands are.
         missed = max(self.plan.way_m[-1] - steps[inside].sum(), 0.0)
-        return LN_OFF_M * float(steps[off.any(axis=1) | ~inside].sum() + missed)
+        return LN_ODDS["commands"] * float(steps[off.any(axis=1) | ~inside].sum() + missed)
 
-    def _compared(self, sent: _AlongWay, offset_m: float, rows: slice = slice(None)) -> tuple[BoolArray, BoolArray]:
+    def _compared(
+        self, sent: _CommandsAlongWay, offset_m: float, rows: slice = slice(None)
+    ) -> tuple[BoolArray, BoolArray]:
         """Rows and wheels whose command is not that of the plan, nor just before or behind; rows within the plan."""
         way, off = sent.way_m[rows] + offset_m, np.ones(sent.command[rows].shape, dtype=bool)
         for beside in (-STEP_M / 2.0, 0.0, STEP_M / 2.0):
@@ -499,7 +497,7 @@ class _Beside:
         return tuple(halts)
 
 
-def _say_halts(halts: tuple[_Halt, ...], schedule: Schedule, findings: Findings) -> None:
+def _report_halts(halts: tuple[_Halt, ...], schedule: Schedule, findings: Findings) -> None:
     for halt in halts:
         has = f"{abs(halt.longer_s):.3g} s {'longer' if halt.longer_s > 0 else 'less long'} than the plan has it"
         if not halt.planned:
@@ -530,10 +528,10 @@ def _remedy(halt: _Halt, schedule: Schedule) -> str:
     return f"split leg {before + number + 1} of the plan after {way}, with a [[leg]] of stop_s = {stop_s:.4g} between"
 
 
-def _say_clock(telemetry: Telemetry, beside: _Beside, findings: Findings) -> float:
+def _report_clock(telemetry: Telemetry, beside: _PlanMatch, findings: Findings) -> float:
     """By how much the clock is later than the plan's, said; 0 where it is not. [s]"""
     rows = beside.late_s[beside.inside]
-    if beside.share_off > MOST or not rows.size:
+    if beside.share_off > REPORTED or not rows.size:
         return 0.0
     # Until the first halt that one of them has alone.
     late = float(np.median(rows[: 1 + int(np.argmax(np.append(np.abs(np.diff(rows)) > EDGE_S, True)))]))
@@ -545,7 +543,7 @@ def _say_clock(telemetry: Telemetry, beside: _Beside, findings: Findings) -> flo
     return late
 
 
-def _say_commands(beside: _Beside, findings: Findings) -> bool:
+def _report_commands(beside: _PlanMatch, findings: Findings) -> bool:
     """Say that commands are not the plan's; whether that is a doubt. Some row must be off."""
     sent, plan, off = beside.sent, beside.plan, beside.off & beside.inside[:, None]
     rows = np.flatnonzero(off.any(axis=1))
@@ -557,7 +555,7 @@ def _say_commands(beside: _Beside, findings: Findings) -> bool:
     if not doubt:
         text += ", all of them at its start"
         done = "the telemetry's are taken; the plan begins as steered as its first leg is, the rover was not yet"
-    elif beside.share_off > MOST:
+    elif beside.share_off > REPORTED:
         done += ", and its `rover`"
     else:
         done += " (`blend_m` is half before a join of arcs, half behind)"
@@ -567,3 +565,129 @@ def _say_commands(beside: _Beside, findings: Findings) -> bool:
     )
     findings.add("other commands", text, done, count=len(rows), time_s=float(sent.time_s[rows[0]]), doubt=doubt)
     return doubt
+
+
+def with_positions(telemetry: Telemetry, positions: Positions, file: str, findings: Findings) -> Telemetry:
+    """Telemetry with positions from elsewhere in place of its own, in rows at their times.
+
+    Between rows wheels, headings and attitude are taken to change evenly. Positions that are a gap or more before or
+    after the telemetry are left out and said. `file` is where they come from.
+    """
+    telemetry = ordered(telemetry, findings)
+    times = telemetry.time_s
+    reach = GAP * float(np.median(np.diff(times)))
+    good = (positions.time_s >= times[0] - reach) & (positions.time_s <= times[-1] + reach)
+    if not good.all():
+        what = f"{(~good).sum()} of {len(good)} positions of {file} are not within the times of the telemetry"
+        findings.add("positions at other times", what, "they are left out", count=int((~good).sum()), doubt=True)
+    at = np.clip(positions.time_s[good], times[0], times[-1])
+    merged = np.union1d(times, at)
+    columns: dict[str, Any] = {
+        item.name: _between(merged, times, value)
+        for item in dataclasses.fields(telemetry)
+        if isinstance(value := getattr(telemetry, item.name), np.ndarray)
+    }
+    rows = np.searchsorted(merged, at)
+    columns["fix_m"] = np.full((len(merged), 2), np.nan)
+    columns["fix_covariance_m2"] = np.full((len(merged), 2, 2), np.nan)
+    columns["fix_m"][rows], columns["fix_covariance_m2"][rows] = positions.place_m[good], positions.covariance_m2[good]
+    if positions.shared_m2 is not None:
+        shared = positions.shared_m2 * np.append(False, good[:-1])[:, None, None]
+        columns["fix_shared_m2"] = np.zeros((len(merged), 2, 2))
+        columns["fix_shared_m2"][rows] = shared[good]
+    return dataclasses.replace(telemetry, **columns)
+
+
+def _between(merged: FloatArray, times: FloatArray, values: FloatArray) -> FloatArray:
+    """Values (n, ...) at more times: linear between two that are known and no half turn apart, else blank."""
+    flat = values.reshape(len(times), -1)
+    low = np.clip(np.searchsorted(times, merged, side="right") - 1, 0, len(times) - 1)
+    high = np.minimum(low + (times[low] < merged), len(times) - 1)
+    share = (merged - times[low]) / np.where(high > low, times[high] - times[low], 1.0)
+    step = flat[high] - flat[low]
+    step[np.abs(step) > 180.0] = np.nan
+    result = np.where((high > low)[:, None], flat[low] + share[:, None] * step, flat[low])
+    return np.asarray(result.reshape(len(merged), *values.shape[1:]))
+
+
+def usable_positions(telemetry: Telemetry, way_m: FloatArray, findings: Findings) -> Telemetry:
+    """Positions without those that have no proper covariance or only repeat the one before.
+
+    `way_m` is the way of the rims until each row. (n,) Raises DataError where fewer than two are left.
+    """
+    given, value = telemetry.fixed, telemetry.fix_covariance_m2
+    complete = np.isfinite(value).all(axis=(1, 2))
+    least = np.linalg.eigvalsh(np.where(complete[:, None, None], value, -np.eye(2)))[:, 0]
+    sigma = np.where(least > 0, np.sqrt(np.abs(np.trace(value, axis1=1, axis2=2)) / 2.0), np.nan)
+    bad = "bad covariance", "errors that are missing, 0, negative, or no covariance"
+    used = _used("position", bad, telemetry, telemetry.fix_m, sigma, way_m, findings)
+    check_far(np.flatnonzero(used), telemetry, way_m, findings)
+    shared = telemetry.fix_shared_m2
+    if shared is not None:
+        before = np.flatnonzero(given)
+        shared = shared.copy()
+        shared[before[1:][~used[before[:-1]]]] = 0.0
+    return dataclasses.replace(telemetry, fix_m=np.where(used[:, None], telemetry.fix_m, np.nan), fix_shared_m2=shared)
+
+
+def usable_headings(telemetry: Telemetry, turned_deg: FloatArray, findings: Findings) -> Telemetry:
+    """Headings without full turns between rows, and without those that only repeat the one before.
+
+    `turned_deg` is the turn that the wheels say until each row. (n,) Raises DataError where fewer than two are left.
+    """
+    sigma = np.where(telemetry.yaw_deg_sigma > 0, telemetry.yaw_deg_sigma, np.nan)
+    bad = "heading error", "yaw_deg_sigma is missing, 0 or negative"
+    used = _used("heading", bad, telemetry, telemetry.yaw_deg[:, None], sigma, turned_deg, findings)
+    blank = np.isnan(telemetry.yaw_deg)
+    findings.of_rows("missing headings", "rows without yaw_deg", "found from the others", blank, telemetry.time_s)
+    yaw = np.where(used, telemetry.yaw_deg, np.nan)
+    yaw[used] = np.unwrap(yaw[used], period=360.0)
+    return dataclasses.replace(telemetry, yaw_deg=yaw)
+
+
+def _used(
+    name: str, bad: tuple[str, str], telemetry: Telemetry, values: FloatArray, sigma: FloatArray, change: FloatArray,
+    findings: Findings,
+) -> BoolArray:  # fmt: skip
+    """Measurements (n, m) whose error (n,) is known and that do not only repeat the one before, while `change` says by
+    how much they should. (n,) Raises DataError where fewer than two are left."""
+    given, same = np.isfinite(values).all(axis=1), np.zeros(len(values), dtype=bool)
+    sound = np.asarray(given & np.isfinite(sigma))
+    if sound.any():
+        error = float(np.median(sigma[sound]))
+        chance = repeat_chance(values[sound], error) ** values.shape[1]
+        same[sound] = repeated(values[sound], chance, change[sound], math.sqrt(2.0) * error)
+    again = f"repeated {name}", f"{name} repeats the one before to the last digit: sent again, or the sensor hangs"
+    for rows, (kind, what) in ((given & ~sound, bad), (same, again)):
+        findings.of_rows(kind, what, f"these {kind.split()[-1]}s are left out", rows, telemetry.time_s)
+    used = sound & ~same
+    if used.sum() < 2:
+        raise DataError(
+            f"{telemetry.file}: {used.sum()} {name}s of use among {given.sum()} ({(given & ~sound).sum()} have errors "
+            f"that are none, {same.sum()} repeat another); slip needs two or more"
+        )
+    return used
+
+
+def check_attitude(telemetry: Telemetry, held: PrescribedLoads, rows: IndexArray, findings: Findings) -> None:
+    """Roll and pitch are those of a rover that stands on this terrain; all alike off is their sensor's mounting."""
+    for column, name in ((3, "roll_deg"), (4, "pitch_deg")):
+        measured, stood = getattr(telemetry, name)[rows], held.paths[:, column]
+        given = np.isfinite(measured) & np.isfinite(stood)
+        if given.sum() < 5:
+            continue
+        a, b = measured[given], stood[given]
+
+        def off(values: FloatArray, wanted: FloatArray = b) -> float:
+            return float(np.median(np.abs(values - wanted)))
+
+        if off(a) <= max(ATTITUDE_DEG, FOLLOWS * off(b, np.zeros(1))):
+            continue
+        mounted = float(np.median(a - b))
+        turned = abs(mounted) < MOUNTED_DEG and off(a - mounted) < 0.5 * ATTITUDE_DEG
+        hint = "; it has the other sign" if off(-a) < 0.4 * off(a) else ""
+        hint = "; it looks like rad" if off(np.degrees(a)) < 0.4 * off(a) else hint
+        cause = f"its sensor is turned by {mounted:.2g} deg" if turned else "another terrain, frame or sign"
+        what = f"{name} is {off(a):.3g} deg off the terrain's in the median{hint}: {cause}"
+        done = "the terrain's is taken"
+        findings.add("attitude against terrain", what, done, count=int(given.sum()), doubt=not turned)

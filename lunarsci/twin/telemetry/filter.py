@@ -41,20 +41,21 @@ START_M, START_RAD = 10.0, 1.0
 """Of a rover whose place is not known yet, in position and heading: so wide that ten times as much moves no slip, as
 measured by `tests/benchmarks/telemetry_constants.py`."""
 LOOSE_M = 1.0
-"""Lever by which an error of the way over a gap becomes one of the heading; assumed. [m]"""
+"""Lever by which an error of the way over a gap becomes one of the heading. Half or twice as much moves slips by 0.05
+of their errors at most, as measured. [m]"""
 POSITION_M_PER_STEP = 2e-4
 """What each step may be off by whatever the wheels do; half or twice as much moves no slip, as measured. [m]"""
 TURN_PER_STEP = 0.03
 """Share that the turn of a step may be off by, as by the shape of the ground below a turn on the spot. Half or twice as
 much moves slips by 0.04 of their errors at most, as measured."""
 BEND_M = 5.0
-"""Radius of the turn in which slip makes the turn deviate as much again as on a straight way; assumed. [m]"""
+"""Radius of the turn in which slip makes the turn deviate as much again as on a straight way. Half or twice as much
+moves slips by 0.16 of their errors at most, as measured. [m]"""
 LINEAR_S = 0.5
-"""Lag up to which the motion is linear in one; a longer one is put back, and what is left found anew; assumed. [s]"""
+"""Lag up to which the motion is linear in one; a longer one is put back, and what is left found anew. Half or twice as
+much moves no slip, as measured. [s]"""
 MOST_PARTS = 8
 """Of a halt with positions, in which the rover may slide each; more are taken together."""
-FARTHEST_S = 60.0
-"""How far the motion is taken to go on before and behind the drive, at the speeds of its ends; assumed. [s]"""
 
 
 class ErrorChain(NamedTuple):
@@ -73,8 +74,8 @@ class Nodes:
     time_s : (n,) [s]
     twist : mean velocity between nodes if nothing slips: ahead, left [m/s], turn [rad/s]. (n - 1, 3)
     way_m : mean way of the rims between nodes. (n - 1,) [m]
-    loose : additional standard error of the way between nodes, as over a gap. (n - 1,) [m]
-    apart : steps over which deviations keep nothing, as at a halt. (n - 1,)
+    gap_sigma_m : additional standard error of the way between nodes, as over a gap. (n - 1,) [m]
+    restarts : steps over which deviations keep nothing, as at a halt. (n - 1,)
     fix_m, fix_covariance_m2 : positions, NaN where there is none. (n, 2), (n, 2, 2)
     yaw_rad, yaw_sigma_rad : headings, NaN where there is none. (n,)
     effect : deviations ahead, left and turn for coefficients of 1; None where nothing is known. (n, 3, 5)
@@ -85,8 +86,8 @@ class Nodes:
     time_s: FloatArray
     twist: FloatArray
     way_m: FloatArray
-    loose: FloatArray
-    apart: BoolArray
+    gap_sigma_m: FloatArray
+    restarts: BoolArray
     fix_m: FloatArray
     fix_covariance_m2: FloatArray
     yaw_rad: FloatArray
@@ -111,7 +112,7 @@ class Nodes:
 
         One with positions is several, from one to the next of them, `MOST_PARTS` at most.
         """
-        still = np.concatenate([[False], (self.way_m == 0.0) & (self.loose == 0.0), [False]])
+        still = np.concatenate([[False], (self.way_m == 0.0) & (self.gap_sigma_m == 0.0), [False]])
         firsts, lasts = np.flatnonzero(still[1:] & ~still[:-1]), np.flatnonzero(still[:-1] & ~still[1:])
         end, result = len(self.time_s) - 1, list[tuple[int, int]]()
         for first, last in zip(firsts, lasts, strict=True):
@@ -127,7 +128,7 @@ class Nodes:
         return [*self.halts, *self.jumps]
 
     @property
-    def bend(self) -> FloatArray:
+    def turn_gain(self) -> FloatArray:
         """How much more the turn deviates than on a straight way: slip changes a turn the more, the more it turns.
 
         (n - 1,)
@@ -136,7 +137,7 @@ class Nodes:
         return np.hypot(1.0, BEND_M * np.divide(turned, self.way_m, out=np.zeros_like(turned), where=self.way_m > 0))
 
     @property
-    def heads(self) -> FloatArray:
+    def direction(self) -> FloatArray:
         """Speed ahead as a share of the rims': 1 forwards, -1 backwards, 0 where it turns on the spot. (n - 1,)"""
         moved = self.twist[:, 0] * np.diff(self.time_s)
         return np.asarray(np.clip(np.divide(moved, self.way_m, out=np.zeros_like(moved), where=self.way_m > 0), -1, 1))
@@ -145,6 +146,12 @@ class Nodes:
     def constants(self) -> int:
         """How many unknown constants there are."""
         return len(CONSTANTS) + 2 * len(self.slides)
+
+
+def onto_map(yaw_rad: FloatArray, ahead: FloatArray | float, left: FloatArray | float) -> FloatArray:
+    """A way ahead and to the left in x and y. (n, 2)"""
+    cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
+    return np.column_stack([cos * ahead - sin * left, sin * ahead + cos * left])
 
 
 def at_nodes(between: FloatArray) -> FloatArray:
@@ -160,26 +167,24 @@ def dead_reckoned(nodes: Nodes) -> FloatArray:
     given = np.isfinite(nodes.yaw_rad)
     off = np.interp(nodes.time_s, nodes.time_s[given], (nodes.yaw_rad - turned)[given]) if given.any() else 0.0
     yaw = turned + off
-    middle = 0.5 * (yaw[1:] + yaw[:-1])
-    ahead, left = nodes.twist[:, 0] * steps, nodes.twist[:, 1] * steps
+    ways = onto_map(0.5 * (yaw[1:] + yaw[:-1]), *(nodes.twist[:, :2] * steps[:, None]).T)
     state = np.zeros((count, SIZE))
-    state[1:, 0] = np.cumsum(np.cos(middle) * ahead - np.sin(middle) * left)
-    state[1:, 1] = np.cumsum(np.sin(middle) * ahead + np.cos(middle) * left)
+    state[1:, :2] = np.cumsum(ways, axis=0)
     state[:, 2] = yaw
     first = int(np.argmax(nodes.fixed))
     state[:, :2] += nodes.fix_m[first] - state[first, :2]
     return state
 
 
-def lag_of_turns(nodes: Nodes) -> float:
-    """The lag at which wheels turn as headings do. [s]
+def lag_of_turns(nodes: Nodes, farthest_s: float) -> float:
+    """The lag at which wheels turn as headings do, up to the farthest that is tried. [s]
 
     0 where it is so short that the motion is linear in it, or where turns hardly tell.
     """
     steps = np.diff(nodes.time_s)
     given, turned = np.isfinite(nodes.yaw_rad), np.append(0.0, np.cumsum(nodes.twist[:, 2] * steps))
     times, yaw = nodes.time_s[given], nodes.yaw_rad[given]
-    farthest = min(0.5 * FARTHEST_S, 0.25 * float(times[-1] - times[0]))
+    farthest = min(farthest_s, 0.25 * float(times[-1] - times[0]))
     inside = (times >= times[0] + farthest) & (times <= times[-1] - farthest)
     if inside.sum() < 3 or np.ptp(turned) == 0.0:
         return 0.0
@@ -190,7 +195,7 @@ def lag_of_turns(nodes: Nodes) -> float:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TriedProcesses:
+class ProcessCandidates:
     """How deviations change and positions err, m at a time.
 
     Attributes
@@ -253,7 +258,7 @@ def step_inputs(nodes: Nodes) -> FloatArray:
     steps, effects = np.diff(nodes.time_s), nodes.effects
     result = np.zeros((len(steps), 3, nodes.constants))
     result[:, [0, 1, 2], [0, 1, 2]] = nodes.way_m[:, None]
-    result[:, 0, 0] *= nodes.heads
+    result[:, 0, 0] *= nodes.direction
     result[:, :, 3:SCALE] = nodes.way_m[:, None, None] * 0.5 * (effects[1:] + effects[:-1])
     result[:, :, SCALE] = nodes.twist * steps[:, None]
     for number, (first, last) in enumerate(nodes.slides):
@@ -269,7 +274,7 @@ def linearised(nodes: Nodes, reference: ReferenceMotion) -> Linear:
     parts = np.zeros((len(before), 3, SIZE))
     for row, k in enumerate(AHEAD):
         parts[:, row, k], parts[:, row, k + 1] = nodes.way_m, 0.5 * nodes.way_m**2
-    parts[:, 2] *= nodes.bend[:, None]
+    parts[:, 2] *= nodes.turn_gain[:, None]
     added = step_inputs(nodes)
     plain = nodes.twist * np.diff(nodes.time_s)[:, None]
     full = plain + np.einsum("nij,nj->ni", parts, before) + added @ constants
@@ -284,7 +289,7 @@ def linearised(nodes: Nodes, reference: ReferenceMotion) -> Linear:
     pose = onto @ parts
     pose[:, [0, 1, 2], [0, 1, 2]] += 1.0
     pose[:, :2, 2] += by_turn
-    moved = np.column_stack([cos * full[:, 0] - sin * full[:, 1], sin * full[:, 0] + cos * full[:, 1], full[:, 2]])
+    moved = np.column_stack([onto_map(middle, full[:, 0], full[:, 1]), full[:, 2]])
     inputs = onto @ added
     shift = before[:, :3] + moved - np.einsum("nij,nj->ni", pose, before) - inputs @ constants
     return Linear(pose, inputs, shift, *_measured(nodes, reference, moved))
@@ -296,10 +301,10 @@ def _measured(nodes: Nodes, reference: ReferenceMotion, moved: FloatArray) -> tu
     `moved` is how far each step goes in x, y and heading, by wheels and deviations. (n - 1, 3) [m, m, rad]
     """
     state, constants = reference.state, reference.constants
-    back, rate = _put_back(nodes, moved, float(constants[LAG]))
+    back, rate = _shifted_back(nodes, moved, float(constants[LAG]))
     turned = state[:, 2] + back[:, 2]
     cos, sin = np.cos(turned), np.sin(turned)
-    arm = np.column_stack([cos * constants[9] - sin * constants[10], sin * constants[9] + cos * constants[10]])
+    arm = onto_map(turned, *constants[LEVER])
     count = len(state)
     seen, by = np.zeros((count, 3, SIZE)), np.zeros((count, 3, nodes.constants))
     seen[:, [0, 1, 2], [0, 1, 2]] = 1.0
@@ -319,7 +324,7 @@ def _measured(nodes: Nodes, reference: ReferenceMotion, moved: FloatArray) -> tu
     return seen, by, value
 
 
-def _put_back(nodes: Nodes, moved: FloatArray, lag_s: float) -> tuple[FloatArray, FloatArray]:
+def _shifted_back(nodes: Nodes, moved: FloatArray, lag_s: float) -> tuple[FloatArray, FloatArray]:
     """How far behind the rover was a lag before each node, and its velocity there. (n, 3), (n, 3) [m, m, rad; a second]
 
     By the velocities of wheels and deviations, not as smoothed: errors of positions would be moved along.
@@ -327,8 +332,10 @@ def _put_back(nodes: Nodes, moved: FloatArray, lag_s: float) -> tuple[FloatArray
     steps = np.diff(nodes.time_s)[:, None]
     rate = moved / steps
     path = np.vstack([np.zeros(3), np.cumsum(moved, axis=0)])
-    path = np.vstack([path[:1] - FARTHEST_S * rate[:1], path, path[-1:] + FARTHEST_S * rate[-1:]])
-    times = np.concatenate([nodes.time_s[:1] - FARTHEST_S, nodes.time_s, nodes.time_s[-1:] + FARTHEST_S])
+    # Before and behind the drive it goes on at the speeds of its ends.
+    whole_s = nodes.time_s[-1] - nodes.time_s[0]
+    path = np.vstack([path[:1] - whole_s * rate[:1], path, path[-1:] + whole_s * rate[-1:]])
+    times = np.concatenate([nodes.time_s[:1] - whole_s, nodes.time_s, nodes.time_s[-1:] + whole_s])
     at = nodes.time_s - lag_s
 
     def along(when: FloatArray) -> FloatArray:
@@ -357,11 +364,11 @@ class Model:
 
     nodes: Nodes
     reference: ReferenceMotion
-    assumptions: TriedProcesses
+    assumptions: ProcessCandidates
     linear: Linear
 
     @classmethod
-    def about(cls, nodes: Nodes, reference: ReferenceMotion, assumptions: TriedProcesses) -> "Model":
+    def about(cls, nodes: Nodes, reference: ReferenceMotion, assumptions: ProcessCandidates) -> "Model":
         """The model linearised about a reference."""
         return cls(nodes, reference, assumptions, linearised(nodes, reference))
 
@@ -373,7 +380,11 @@ class Model:
     def steps(self, first: int, last: int) -> tuple[FloatArray, FloatArray]:
         """Matrix (k, m, 11, 11) and noise (k, m, 11, 11) of some steps."""
         nodes, assumed = self.nodes, self.assumptions
-        way, apart, loose = nodes.way_m[first:last, None], nodes.apart[first:last], nodes.loose[first:last]
+        way, apart, gap_sigma_m = (
+            nodes.way_m[first:last, None],
+            nodes.restarts[first:last],
+            nodes.gap_sigma_m[first:last],
+        )
         matrix = np.zeros((last - first, len(assumed.walk), SIZE, SIZE))
         noise = np.zeros_like(matrix)
         matrix[..., :3, :] = self.linear.pose[first:last, None]
@@ -386,9 +397,9 @@ class Model:
             still = self._stationary(channel)
             matrix[..., k : k + 2, k : k + 2] = block
             noise[..., k : k + 2, k : k + 2] = still - block @ still @ np.swapaxes(block, -1, -2)
-        noise[..., 0, 0] = noise[..., 1, 1] = (POSITION_M_PER_STEP**2 + loose**2)[:, None]
+        noise[..., 0, 0] = noise[..., 1, 1] = (POSITION_M_PER_STEP**2 + gap_sigma_m**2)[:, None]
         turn = nodes.twist[first:last, 2] * np.diff(nodes.time_s[first : last + 1])
-        noise[..., 2, 2] = ((loose / LOOSE_M) ** 2 + (TURN_PER_STEP * turn) ** 2)[:, None]
+        noise[..., 2, 2] = ((gap_sigma_m / LOOSE_M) ** 2 + (TURN_PER_STEP * turn) ** 2)[:, None]
         if nodes.chain is None:
             matrix[..., OFF, OFF] = np.eye(2)
             noise[..., OFF, OFF] = (assumed.walk**2 * way)[..., None, None] * np.eye(2)

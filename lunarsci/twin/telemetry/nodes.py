@@ -14,10 +14,10 @@ from lunarsci.twin.plans.path import CREEP_M_S
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.prescribed_motion import PrescribedLoads
 from lunarsci.twin.telemetry.filter import EFFECTS, SCALE, ErrorChain, Nodes, ReferenceMotion, at_nodes
+from lunarsci.twin.telemetry.hypotheses import Priors
 from lunarsci.twin.telemetry.reading import OBEYED, STILL, Telemetry
-from lunarsci.twin.telemetry.smoother import Priors, Smoothed, believed_change, probable
+from lunarsci.twin.telemetry.smoother import Smoothed, prior_process, probable
 from lunarsci.twin.telemetry.wheel_motion import (
-    ON_THE_SPOT,
     WheelMotion,
     ground_velocities,
     mean_speed,
@@ -29,7 +29,7 @@ from lunarsci.twin.telemetry.wheel_motion import (
 NODE_M = 0.1
 """Way between the moments at which the motion is found. [m]"""
 SAME_S = 1e-3
-"""Times that differ by less are one; assumed. [s]"""
+"""Times that differ by less are one. Half or twice as much moves no slip, as measured. [s]"""
 MOST_NODES = 30_000
 """That are smoothed at once: 3 km without positions. `tests/benchmarks/load.py` tells their memory."""
 STIFFNESSES = (0.1, 0.17, 0.28, 0.48, 0.8)
@@ -38,9 +38,15 @@ slips by 0.01 of their errors at most, as measured by `tests/benchmarks/telemetr
 AGREEMENT, LEAST_EFFECT = 0.4, 0.1
 """How well, in ln, the stiffness and the coefficients of slip and side slip agree, and the least of these; half or
 twice as much moves slips by 0.07 of their errors at most, as measured."""
+MEASURED = ("fix_m", "fix_covariance_m2", "fix_shared_m2", "yaw_deg", "yaw_deg_sigma", "roll_deg", "pitch_deg")
+"""Columns of `Telemetry` that are by the clock of the positions."""
+SLIP_FLOOR, SIDE_SLIP_FLOOR_DEG = 0.001, 0.08
+"""What is left where all sensors are all but perfect, measured: 0.0005 to 0.0009 and 0.04 to 0.06 deg on six made-up
+drives over ground of 0 to 5 mm roughness; the steering's own error of 0.1 deg, of which a few rows are averaged, adds
+0.06 deg."""
 
 
-def turning(rim_m_s: FloatArray) -> BoolArray:
+def any_rim_turns(rim_m_s: FloatArray) -> BoolArray:
     """Whether any rim turns, or it is not known; `wheel_motion` has 0 at rest. (n,)"""
     return np.asarray((rim_m_s != 0).any(axis=1))
 
@@ -54,11 +60,7 @@ class Rows(NamedTuple):
     gaps: BoolArray
 
 
-MEASURED = ("fix_m", "fix_covariance_m2", "fix_shared_m2", "yaw_deg", "yaw_deg_sigma", "roll_deg", "pitch_deg")
-"""Columns of `Telemetry` that are by the clock of the positions."""
-
-
-def _at_times(rows: Rows, times: FloatArray, measured_s: FloatArray) -> Rows:
+def _resampled(rows: Rows, times: FloatArray, measured_s: FloatArray) -> Rows:
     """The same at more times, with positions, headings and attitude at those that are given for each old row.
 
     Wheels turn evenly between rows.
@@ -79,7 +81,7 @@ def _at_times(rows: Rows, times: FloatArray, measured_s: FloatArray) -> Rows:
     return Rows(replace(old, **columns), replace(rows.wheels, **between), steered, rows.gaps[step])
 
 
-def denser(rows: Rows) -> Rows:
+def densified(rows: Rows) -> Rows:
     """The same with rows between those that are far apart, but over gaps: the ground changes within a wheel's way.
 
     Positions, headings and attitude are blank in the new ones.
@@ -92,10 +94,10 @@ def denser(rows: Rows) -> Rows:
     at = np.append(0, np.cumsum(parts))
     dense = np.interp(np.arange(at[-1] + 1), at, times)
     dense[at] = times
-    return _at_times(rows, dense, times)
+    return _resampled(rows, dense, times)
 
 
-def put_back(rows: Rows, lag_s: float) -> Rows:
+def shifted_back(rows: Rows, lag_s: float) -> Rows:
     """With positions, headings and attitude at the time of the wheels that made them: a lag earlier.
 
     Those that are then before the first row or after the last one are left out.
@@ -106,10 +108,10 @@ def put_back(rows: Rows, lag_s: float) -> Rows:
     at = times - lag_s
     nearest = times[np.clip(np.searchsorted(times, at - SAME_S), 0, len(times) - 1)]
     at = np.where(np.abs(nearest - at) < SAME_S, nearest, at)
-    return _at_times(rows, np.union1d(times, at[(at >= times[0]) & (at <= times[-1])]), at)
+    return _resampled(rows, np.union1d(times, at[(at >= times[0]) & (at <= times[-1])]), at)
 
 
-def within(rows: Rows, lag_s: float) -> Rows:
+def overlapping(rows: Rows, lag_s: float) -> Rows:
     """With those positions and headings alone that have a row a lag before."""
     times = rows.telemetry.time_s
     outside = (times - lag_s < times[0]) | (times - lag_s > times[-1])
@@ -122,15 +124,13 @@ def within(rows: Rows, lag_s: float) -> Rows:
 def _drives(wheels: WheelMotion, twist: FloatArray) -> BoolArray:
     """Between which rows the rover drives: not at a halt, nor turning on the spot. (n - 1,)"""
     speed = np.hypot(twist[:, 0], twist[:, 1])
-    return np.asarray(
-        wheels.moving & (speed > ON_THE_SPOT * mean_speed(wheels.rim_m_s)) & (speed > STILL * wheels.usual_m_s)
-    )
+    return np.asarray(wheels.moving & (speed > STILL * mean_speed(wheels.rim_m_s)) & (speed > STILL * wheels.usual_m_s))
 
 
 def nodes_of(sent: Rows, twist: FloatArray, way_m: FloatArray) -> tuple[Nodes, IndexArray]:
     """Nodes and the rows they are. Raises DataError for more of them than there is to be memory for."""
     telemetry, wheels, _, gaps = sent
-    drives, rests = _drives(wheels, twist), ~turning(wheels.rim_m_s)
+    drives, rests = _drives(wheels, twist), ~any_rim_turns(wheels.rim_m_s)
     stage = np.floor(way_m / NODE_M)
     chosen = telemetry.fixed | np.append(True, np.diff(stage) > 0)
     changes = (drives[1:] != drives[:-1]) | (rests[1:] != rests[:-1])
@@ -158,8 +158,8 @@ def nodes_of(sent: Rows, twist: FloatArray, way_m: FloatArray) -> tuple[Nodes, I
             time_s=times[rows],
             twist=total(twist * steps[:, None]) / length[:, None],
             way_m=np.diff(way_m[rows]),
-            loose=OBEYED * blind,
-            apart=np.append(False, kinds[1:] != kinds[:-1]),
+            gap_sigma_m=OBEYED * blind,
+            restarts=np.append(False, kinds[1:] != kinds[:-1]),
             fix_m=telemetry.fix_m[rows],
             fix_covariance_m2=telemetry.fix_covariance_m2[rows],
             yaw_rad=np.radians(telemetry.yaw_deg[rows]),
@@ -195,8 +195,8 @@ def motion_at(
     sway_m: FloatArray,
 ) -> Motion:
     """The smoothed motion of the rover's origin, with the wheels as they were measured, else as the others say."""
-    rim = _at_nodes(telemetry.time_s, wheels.rim_m_s, rows)
-    steered = np.column_stack([_mean_about(column, rows) for column in np.degrees(steering_rad).T])
+    rim = _rim_speed_at_nodes(telemetry.time_s, wheels.rim_m_s, rows)
+    steered = np.column_stack([_centred_mean(column, rows) for column in np.degrees(steering_rad).T])
     given = np.isfinite(rim)
     lost: BoolArray = ~given & given.any(axis=1, keepdims=True)
     if lost.any():
@@ -214,13 +214,13 @@ def motion_at(
     )
 
 
-def _at_nodes(time_s: FloatArray, between: FloatArray, rows: IndexArray) -> FloatArray:
+def _rim_speed_at_nodes(time_s: FloatArray, between: FloatArray, rows: IndexArray) -> FloatArray:
     """Means between the nodes before and after each node, from means between rows. (nodes, wheels)
 
     Where the rover stands on one side the other counts alone: how long it stands says nothing of how it came there.
     """
     steps = np.diff(time_s)[:, None]
-    given = np.isfinite(between) & turning(between)[:, None]
+    given = np.isfinite(between) & any_rim_turns(between)[:, None]
     total = np.vstack([np.zeros(between.shape[1]), np.cumsum(np.where(given, between, 0.0) * steps, axis=0)])
     spent = np.vstack([np.zeros(between.shape[1]), np.cumsum(given * steps, axis=0)])
     low, high = rows[np.maximum(np.arange(len(rows)) - 1, 0)], rows[np.minimum(np.arange(len(rows)) + 1, len(rows) - 1)]
@@ -230,7 +230,7 @@ def _at_nodes(time_s: FloatArray, between: FloatArray, rows: IndexArray) -> Floa
         )
 
 
-def _mean_about(values: FloatArray, rows: IndexArray) -> FloatArray:
+def _centred_mean(values: FloatArray, rows: IndexArray) -> FloatArray:
     """Mean of a column over the rows nearer to each node than to others, both ways alike."""
     result = np.empty(len(rows))
     for k, row in enumerate(rows):
@@ -239,7 +239,7 @@ def _mean_about(values: FloatArray, rows: IndexArray) -> FloatArray:
     return result
 
 
-def on_ground(
+def with_ground_effects(
     rover: Rover, nodes: Nodes, held: PrescribedLoads, sway_m: FloatArray, priors: Priors, reference: ReferenceMotion
 ) -> Nodes:
     """Nodes that know what the shape and the slopes of the ground do to the motion, from a motion that is about right.
@@ -254,16 +254,16 @@ def on_ground(
     """
     ln_weight = []
     for stiffness in STIFFNESSES:
-        tried = _with_effects(rover, nodes, held, sway_m, stiffness)
-        constants, ln_likelihood = probable(tried, believed_change(tried), priors, reference)
+        tried = _ground_effects(rover, nodes, held, sway_m, stiffness)
+        constants, ln_likelihood = probable(tried, prior_process(tried), priors, reference)
         along, across = np.maximum(constants[3:5], LEAST_EFFECT)
         ln_weight.append(ln_likelihood - 0.5 * (np.log(stiffness * across / along) / AGREEMENT) ** 2)
     weight = np.exp(np.array(ln_weight) - max(ln_weight))
     mean = float(np.exp(weight @ np.log(STIFFNESSES) / weight.sum()))
-    return _with_effects(rover, nodes, held, sway_m, mean)
+    return _ground_effects(rover, nodes, held, sway_m, mean)
 
 
-def _with_effects(rover: Rover, nodes: Nodes, held: PrescribedLoads, sway_m: FloatArray, stiffness: float) -> Nodes:
+def _ground_effects(rover: Rover, nodes: Nodes, held: PrescribedLoads, sway_m: FloatArray, stiffness: float) -> Nodes:
     place = np.column_stack([held.motion.x_m, held.motion.y_m]) - sway_m
     shape = shape_effect(rover, held, place, stiffness)
     # A rover that stands is moved by no shape, however long the step is.
@@ -275,13 +275,13 @@ def _with_effects(rover: Rover, nodes: Nodes, held: PrescribedLoads, sway_m: Flo
 
 def turn_effect(nodes: Nodes) -> FloatArray:
     """Deviations for coefficients of 1 where slopes are not known: what turns do alone. (n, 3, 5)"""
-    effect, pace = np.zeros((len(nodes.time_s), 3, len(EFFECTS))), pace_at(nodes)
+    effect, pace = np.zeros((len(nodes.time_s), 3, len(EFFECTS))), rim_speed_at(nodes)
     turn = np.divide(at_nodes(nodes.twist)[:, 2], pace, out=np.zeros_like(pace), where=pace > 0)
     effect[:, 2, 2] = effect[:, 1, 3] = effect[:, 0, 4] = turn
     return effect
 
 
-def pace_at(nodes: Nodes) -> FloatArray:
+def rim_speed_at(nodes: Nodes) -> FloatArray:
     """Mean speed of the rims at the nodes. (n,) [m/s]"""
     return at_nodes(nodes.way_m / np.diff(nodes.time_s))
 
@@ -289,13 +289,7 @@ def pace_at(nodes: Nodes) -> FloatArray:
 def twist_at(nodes: Nodes, smoothed: Smoothed) -> FloatArray:
     """Velocity ahead, to the left, and turn at the nodes. (n, 3) [m/s, m/s, rad/s]"""
     scale = 1.0 + smoothed.posterior.mean[SCALE]
-    return np.asarray(scale * at_nodes(nodes.twist) + pace_at(nodes)[:, None] * smoothed.deviation)
-
-
-SLIP_FLOOR, SIDE_SLIP_FLOOR_DEG = 0.001, 0.08
-"""What is left where all sensors are all but perfect, measured: 0.0005 to 0.0009 and 0.04 to 0.06 deg on six made-up
-drives over ground of 0 to 5 mm roughness; the steering's own error of 0.1 deg, of which a few rows are averaged, adds
-0.06 deg."""
+    return np.asarray(scale * at_nodes(nodes.twist) + rim_speed_at(nodes)[:, None] * smoothed.deviation)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -322,7 +316,7 @@ def wheel_velocities(rover: Rover, nodes: Nodes, smoothed: Smoothed, held: Presc
     along, across = wheel_rows(rover, np.radians(held.motion.steering_deg))
     off_x, off_y = (np.nan_to_num(part) for part in ground_velocities(rover, held, smoothed.state[:, :2]))
     twist, onto = twist_at(nodes, smoothed), np.zeros((len(nodes.time_s), 4, 4))
-    onto[:, [0, 1, 2], [0, 1, 2]] = pace_at(nodes)[:, None]
+    onto[:, [0, 1, 2], [0, 1, 2]] = rim_speed_at(nodes)[:, None]
     onto[:, :3, 3], onto[:, 3, 3] = at_nodes(nodes.twist), 1.0
     return WheelVelocities(
         v_x=off_x + np.einsum("nwi,ni->nw", along, twist),

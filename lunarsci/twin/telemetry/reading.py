@@ -57,6 +57,57 @@ UNITS = {
 }
 """What names may end in: the unit that is meant, and those that are read as well with their size in it."""
 UNIT = re.compile(rf"_({'|'.join([*UNITS, *(unit for others in UNITS.values() for unit in others)])})(?=$|_sigma$)")
+PLACES = ("x_m", "y_m", *ERRORS, "sigma_m")
+OF_A_WHEEL = (("angle_{}_deg", "rate_{}_deg_s", "speed_{}_m_s"), ("steered_{}_deg", "steering_{}_deg"))
+"""Of each of these every wheel needs one: how it turned, and how it was steered."""
+_ENDS = {"f": "F", "front": "F", "r": "R", "rear": "R", "b": "R", "back": "R"}
+_ENDS |= dict.fromkeys(("m", "mid", "middle", "center", "centre"), "M")
+_SIDES = {"l": "L", "left": "L", "r": "R", "right": "R"}
+_COVARIANCES = {"0": "xx_m2", "1": "xy_m2", "7": "yy_m2", "35": "yaw_variance"}
+_STAMPS = {"time", "__time", "timestamp", "stamp", "rosbagtimestamp"}
+_STEERS = re.compile(r"steer|corner|azimuth", re.IGNORECASE)
+STAMP_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
+"""Stamps from these on are in these units of s: the clock began in 1970 and stands below 1e10 s. [-, s]"""
+OBEYED = 0.2
+"""Standard error of a turn, an angle or a way that commands or other columns say, as a share of it; assumed."""
+BLOCK = 256
+"""Rows of a block: half a minute at 10 Hz. States are those of all rows."""
+STILL = 0.05
+"""Share of the usual or the highest rim speed below which a wheel stands; assumed."""
+SURE = 3.0
+"""Standard errors from which on a difference is none of chance, which reaches them once in 370. [-]"""
+MOST_ROWS = 500_000
+"""That are kept: 14 hours at 10 Hz of a rover that does not rest. `tests/benchmarks/load.py` tells their memory."""
+Columns = dict[str, FloatArray]
+SPELLED = {"deg_s": "deg/s", "rpm": "cycle/min", "turns": "cycle", "m2": "m2", "cm2": "cm2", "mm2": "mm2"}
+"""Units that astropy spells otherwise than names of columns do."""
+POSE_COLUMNS = ("yaw_deg", "yaw_deg_sigma", "roll_deg", "pitch_deg")
+WHEEL_COLUMNS = {
+    "speed_m_s": "speed_{}_m_s",
+    "steering_deg": "steering_{}_deg",
+    "angle_deg": "angle_{}_deg",
+    "rate_deg_s": "rate_{}_deg_s",
+    "steered_deg": "steered_{}_deg",
+}
+"""Commanded rim speed and steering; measured angle since some start, rate and steering. Name to column of a wheel."""
+DATE = re.compile(r"\s*\d{4}-\d\d?-\d\d?|\s*\d\d?:\d\d|\s*\d\d?[./]\d\d?[./]\d{2,4}")
+SYNTHETIC = ("true", "1", "1.0")
+YAW_SIGMA_DEG, POSITION_SIGMA_M = 0.3, 0.02
+"""Error of a heading, and of a position, whose error is not given; assumed. [deg, m]"""
+SHARED = ("xx_before_m2", "xy_before_m2", "yx_before_m2", "yy_before_m2")
+"""Covariance of x and y of a position with x and y of the one in the row before."""
+POSITION_COLUMNS = ("time_s", "x_m", "y_m", "z_m", "yaw_deg", "sigma_m", *ERRORS, *SHARED, "synthetic")
+SIGMA_DEG, RATE_SHARE = 1.0, 0.1
+"""Standard errors of turns between rows, of all [deg] and of rates as a share; of commands it is `OBEYED`. Half or
+twice as much moves no slip, as measured; where readings fail they weigh which ones do."""
+TURNED_DEG = 3.0 * SIGMA_DEG
+"""Turn of a wheel up to which it stands: three standard errors, 8 mm of way. [deg]"""
+UNDER_WAY = 0.3
+"""Share of the highest speed from which a wheel counts as under way. Half or twice as much moves slips by 0.05 of their
+errors at most, as measured."""
+LEAST_ROW_M = 0.3
+"""Way between rows of states where positions are denser, and within which standstills are one halt, assumed: a rover's
+slip does not change faster. [m]"""
 
 
 def named_columns(names: list[str]) -> dict[str, tuple[str, float]]:
@@ -74,22 +125,13 @@ def named_columns(names: list[str]) -> dict[str, tuple[str, float]]:
     return columns
 
 
-PLACES = ("x_m", "y_m", *ERRORS, "sigma_m")
-OF_A_WHEEL = (("angle_{}_deg", "rate_{}_deg_s", "speed_{}_m_s"), ("steered_{}_deg", "steering_{}_deg"))
-"""Of each of these every wheel needs one: how it turned, and how it was steered."""
-
-
 def check_telemetry_columns(file: str, names: list[str], rover: Rover, *, placed: bool) -> None:
     """Raises DataError for wheels of another rover, and for columns that are missing, with what may be meant.
 
     Positions are needed where they do not come from elsewhere (`placed`).
     """
     wheels = sorted({match[1] for name in names if (match := WHEEL.fullmatch(name))})
-    if others := [wheel for wheel in wheels if wheel not in rover.wheels]:
-        raise DataError(
-            f"{file}: '{others[0]}' is no wheel of {rover.name}, which has {', '.join(rover.wheels)}; give the right "
-            "one as `rover`"
-        )
+    others = [wheel for wheel in wheels if wheel not in rover.wheels]
     missing = [
         f"{name}{_guess(name, names)}" for name in NEEDED if name not in names and (placed or name not in PLACES)
     ]
@@ -100,27 +142,17 @@ def check_telemetry_columns(file: str, names: list[str], rover: Rover, *, placed
             if len(without) == len(rover.wheels):
                 which, guess = "each wheel W", _guess(forms[0].format(without[0]), names)
             missing.append(f"{' or '.join(form.format('W') for form in forms)} of {which}{guess}")
-    if missing:
-        raise DataError(
-            f"{file}: columns are missing: {', '.join(missing)}; steered_W_deg is 0 for wheels that stay straight; "
-            "`lunarsci template telemetry` has all; or give the `rover` that has these wheels"
-        )
+    if others or missing:
+        wheel = f"'{', '.join(others[:1])}' is no wheel of {rover.name}, which has {', '.join(rover.wheels)}"
+        columns = f"columns are missing: {', '.join(missing)}; steered_W_deg is 0 for wheels that stay straight"
+        hint = "`lunarsci template telemetry` has all; or give the `rover` that has these wheels"
+        raise DataError(f"{file}: {wheel if others else columns}; {hint}")
 
 
 def _guess(needed: str, names: list[str]) -> str:
     bare = UNIT.sub("", needed)
     other = [name for name in names if UNIT.sub("", name) == bare] or difflib.get_close_matches(needed, names, 1, 0.75)
     return f" ({other[0]}?)" if other else ""
-
-
-_ENDS = {"f": "F", "front": "F", "m": "M", "mid": "M", "middle": "M", "center": "M", "centre": "M"}
-_ENDS |= {"r": "R", "rear": "R", "b": "R", "back": "R"}
-_SIDES = {"l": "L", "left": "L", "r": "R", "right": "R"}
-_COVARIANCES = {"0": "xx_m2", "1": "xy_m2", "7": "yy_m2", "35": "yaw_variance"}
-_STAMPS = {"time", "__time", "timestamp", "stamp", "rosbagtimestamp"}
-_STEERS = re.compile(r"steer|corner|azimuth", re.IGNORECASE)
-STAMP_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
-"""Stamps from these on are in these units of s: the clock began in 1970 and stands below 1e10 s. [-, s]"""
 
 
 def meaning_of(name: str) -> str:
@@ -226,68 +258,6 @@ def yaw_roll_pitch(quaternion: FloatArray) -> FloatArray:
     if proper.any():
         turns[proper] = Rotation.from_quat(quaternion[proper]).as_euler("ZYX", degrees=True)[:, [0, 2, 1]]
     return turns
-
-
-LEAST_HELD, SURELY = 1e-4, 3.0
-"""Least odds beforehand that a run is held; they are the share of repeats beyond so many times that by chance;
-assumed."""
-OBEYED = 0.2
-"""Standard error of a turn, an angle or a way that commands or other columns say, as a share of it; assumed."""
-
-
-def held(values: FloatArray, chance: float, expected: FloatArray, sigma: float) -> BoolArray:
-    """Which readings only repeat the one before. (n,)
-
-    Parameters
-    ----------
-    values : readings, of one or more numbers each. (n,) or (n, m)
-    chance : probability that a sound reading repeats the one before while nothing changes.
-    expected : what the reading should have changed by since the start. (n,)
-    sigma : standard error of that change beside the share `OBEYED`, in its unit.
-    """
-    flat = values.reshape(len(values), -1)
-    begins = np.flatnonzero(np.append(True, (np.diff(flat, axis=0) != 0).any(axis=1)))
-    repeats = np.diff(np.append(begins, len(values))) - 1
-    change = np.maximum.reduceat(expected, begins) - np.minimum.reduceat(expected, begins)
-    # A channel that is sent more often than it is read repeats throughout.
-    ln_held = math.log(max(LEAST_HELD, repeats.sum() / len(values) - SURELY * chance))
-    ln_odds = ln_held - repeats * math.log(chance) + 0.5 * change**2 / (sigma**2 + (OBEYED * change) ** 2)
-    result = np.repeat((ln_odds > 0) & (repeats > 0), repeats + 1)
-    result[begins] = False
-    return np.asarray(result)
-
-
-def digit_of(values: FloatArray) -> float:
-    """The last digit: the finest change of which all changes are multiples; a thousandth of it where they are none.
-
-    Infinite where nothing changes.
-    """
-    changes = np.abs(np.diff(values, axis=0))
-    changes = changes[np.isfinite(changes)]
-    changes = changes[changes > 1e-6 * np.max(changes, initial=0.0)]
-    finest = float(np.min(changes, initial=np.inf))
-    return finest if (np.abs(changes / finest - np.rint(changes / finest)) < 0.01).all() else 1e-3 * finest
-
-
-def chance_by_noise(values: FloatArray, sigma: float) -> float:
-    """Probability that a reading with an error of `sigma` repeats the one before, by its last digit.
-
-    The difference of two is normal, of standard deviation sqrt 2 sigma, and rounded to the finest change there is.
-    """
-    return min(1.0, digit_of(values) / (2.0 * math.sqrt(math.pi) * sigma))
-
-
-BLOCK = 256
-"""Rows of a block: half a minute at 10 Hz. States are those of all rows."""
-STILL = 0.05
-"""Share of the usual or the highest rim speed below which a wheel stands; assumed."""
-TURNED_DEG = 3.0
-"""Turn of a wheel up to which it stands: 8 mm of way; assumed. [deg]"""
-SURE = 3.0
-"""Standard errors from which on a difference is none of chance, which reaches them once in 370. [-]"""
-MOST_ROWS = 500_000
-"""That are kept: 14 hours at 10 Hz of a rover that does not rest. `tests/benchmarks/load.py` tells their memory."""
-Columns = dict[str, FloatArray]
 
 
 class RowsWithoutRests:
@@ -445,19 +415,6 @@ class Findings:
         return "; ".join(f"{entry.kind}: {entry.what}" for entry in self.entries if entry.doubt)
 
 
-SPELLED = {"deg_s": "deg/s", "rpm": "cycle/min", "turns": "cycle", "m2": "m2", "cm2": "cm2", "mm2": "mm2"}
-"""Units that astropy spells otherwise than names of columns do."""
-POSE_COLUMNS = ("yaw_deg", "yaw_deg_sigma", "roll_deg", "pitch_deg")
-WHEEL_COLUMNS = {
-    "speed_m_s": "speed_{}_m_s",
-    "steering_deg": "steering_{}_deg",
-    "angle_deg": "angle_{}_deg",
-    "rate_deg_s": "rate_{}_deg_s",
-    "steered_deg": "steered_{}_deg",
-}
-"""Commanded rim speed and steering; measured angle since some start, rate and steering. Name to column of a wheel."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Telemetry:
     """Rows of telemetry, in the order of time; NaN where a row lacks a value.
@@ -518,16 +475,6 @@ class Telemetry:
         return np.where(np.isfinite(self.steered_deg), self.steered_deg, self.steering_deg)
 
 
-DATE = re.compile(r"\s*\d{4}-\d\d?-\d\d?|\s*\d\d?:\d\d|\s*\d\d?[./]\d\d?[./]\d{2,4}")
-SYNTHETIC = ("true", "1", "1.0")
-YAW_SIGMA_DEG, POSITION_SIGMA_M = 0.3, 0.02
-"""Error of a heading, and of a position, whose error is not given; assumed. [deg, m]"""
-
-SHARED = ("xx_before_m2", "xy_before_m2", "yx_before_m2", "yy_before_m2")
-"""Covariance of x and y of a position with x and y of the one in the row before."""
-POSITION_COLUMNS = ("time_s", "x_m", "y_m", "z_m", "yaw_deg", "sigma_m", *ERRORS, *SHARED, "synthetic")
-
-
 class Positions(NamedTuple):
     """Positions of the rover's origin from localisation, and their errors. (n,) [s], (n, 2) [m], (n, 2, 2) [m2]
 
@@ -553,7 +500,9 @@ def read_positions(source: InputFile) -> Positions:
     """
     file = source.name
     table = from_ros(file, read_csv_table(source))
-    check_columns(file, table.columns, POSITION_COLUMNS, ("time_s", "x_m", "y_m"))
+    shares = bool({*SHARED} & {*table})
+    errors = ERRORS if shares or {*ERRORS} & {*table} else ("sigma_m",)
+    check_columns(file, table.columns, POSITION_COLUMNS, ("time_s", "x_m", "y_m", *errors, *(SHARED if shares else ())))
     timed = table["time_s"].fillna("").str.strip() != ""
     if not timed.any():
         raise DataError(f"{file}: no position has a time; add time_s, in s from the start of the drive")
@@ -566,13 +515,9 @@ def read_positions(source: InputFile) -> Positions:
         for name in ("time_s", "x_m", "y_m", "sigma_m", *ERRORS, *SHARED)
         if name in table
     }
-    if "sigma_m" not in values and not {*ERRORS} <= {*values}:
-        raise DataError(f"{file}: no errors of the positions; add sigma_m, or xx_m2, xy_m2 and yy_m2")
     place, covariance = np.column_stack([values["x_m"], values["y_m"]]), _covariance(values)
     shared = None
-    if any(name in values for name in SHARED):
-        if missing := [name for name in (*ERRORS, *SHARED) if name not in values]:
-            raise DataError(f"{file}: no column {missing[0]}; covariances with the row before need all of them")
+    if shares:
         shared = np.nan_to_num(np.column_stack([values[name] for name in SHARED])).reshape(-1, 2, 2)
         try:
             np.linalg.cholesky(joint_m2(covariance, shared))
@@ -637,7 +582,8 @@ def read_telemetry(
         findings.add("infinite values", f"{name} is infinite", "taken as blank", count=count)
     if not rows.read:
         first, last = max(span_s[0], begin), span_s[1]
-        raise DataError(f"{source.name}: no rows between time_s {first:.12g} and {last:.12g}; give others")
+        where = f" between time_s {first:.12g} and {last:.12g}; give others" if math.isfinite(first) else ""
+        raise DataError(f"{source.name}: no rows{where or '; check how it was made or downloaded'}")
     return _telemetry(source.name, rows, rover, findings, synthetic=synthetic, start_s=start_s or 0.0)
 
 
@@ -649,7 +595,7 @@ def _numbers(file: str, table: "pd.DataFrame", rover: Rover, *, placed: bool) ->
     used |= {form.format(wheel) for form in WHEEL_COLUMNS.values() for wheel in rover.wheels}
     times = columns["time_s"][0]
     if DATE.match(str(next(iter(table[times].dropna()), ""))):
-        table = table.assign(**{times: _since_1970_s(file, table[times])})
+        table = table.assign(**{times: _since_1970_s(table[times])})
     return {
         name: factor * numbers_of(file, column, table[column])
         for name, (column, factor) in columns.items()
@@ -657,16 +603,12 @@ def _numbers(file: str, table: "pd.DataFrame", rover: Rover, *, placed: bool) ->
     }
 
 
-def _since_1970_s(file: str, dates: "pd.Series") -> "pd.Series":
-    """Dates as seconds since 1970, in UTC where they do not say. Raises DataError for what is none."""
+def _since_1970_s(dates: "pd.Series") -> "pd.Series":
+    """Dates as seconds since 1970, in UTC where they do not say; as they are where they are none."""
     import pandas as pd
 
-    try:
-        parsed = pd.to_datetime(dates, utc=True, format="ISO8601")
-    except ValueError as error:
-        text = "give dates as 2026-11-24T10:00:00Z, or seconds"
-        raise DataError(f"{file}, time_s: '{dates.iloc[0]}' is no date that can be read; {text}") from error
-    return (parsed - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
+    parsed = pd.to_datetime(dates, utc=True, format="ISO8601", errors="coerce")
+    return dates if parsed.isna().any() else (parsed - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
 
 
 def _telemetry(
@@ -712,7 +654,7 @@ def _covariance(values: dict[str, FloatArray]) -> FloatArray:
 
 
 def tables_of(stream: InputStream, findings: Findings) -> "Iterator[pd.DataFrame]":
-    """The rows of a table in pieces, by the ending of its file, numbered through. Raises DataError, also for no row."""
+    """The rows of a table in pieces, by the ending of its file, numbered through. Raises DataError."""
 
     def without_cut(cut: bytes, number: int) -> bytes:
         what = f"line {number} has no end ('{cut[-20:].decode(errors='replace')}'): the file may be cut there"
@@ -730,8 +672,6 @@ def tables_of(stream: InputStream, findings: Findings) -> "Iterator[pd.DataFrame
     for table in (from_ros(stream.name, one) for one in tables):
         yield table.set_axis(range(rows, rows + len(table)))
         rows += len(table)
-    if not rows:
-        raise DataError(f"{stream.name}: no rows; check how it was made or downloaded")
 
 
 def _read_ecsv(source: InputFile) -> "pd.DataFrame":
@@ -770,3 +710,10 @@ def _flat(file: str, table: "pd.DataFrame") -> "pd.DataFrame":
     if twice := next((name for name, times in Counter(names).items() if times > 1), None):
         raise DataError(f"{file}: two columns are called '{twice}'; keep one of them")
     return table.set_axis(pd.Index(names), axis=1)
+
+
+def between(values: FloatArray) -> FloatArray:
+    """Mean of successive rows, of one where only that one is known. (n - 1, wheels)"""
+    before, after = values[:-1], values[1:]
+    both = 0.5 * (before + after)
+    return np.where(np.isfinite(both), both, np.where(np.isfinite(before), before, after))

@@ -9,6 +9,7 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
+from lunarsci.ranges import NOT_NEGATIVE, POSITIVE, check_each
 from lunarsci.twin.plans.path import all_commands, commands_at, fix_errors, make_schedule
 from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction
 
@@ -57,12 +58,8 @@ class SensorErrors:
     track_m: float = 0.00033
 
     def __post_init__(self) -> None:
-        for name in self.__slots__:
-            value, exact = getattr(self, name), not name.startswith("fix_")
-            if value is not None and not (0 < value < math.inf or (exact and value == 0)):
-                raise ParameterError(
-                    f"sensor error {name} is {value}; give {'0 or more' if exact else 'a number above 0'}"
-                )
+        ranges = {name: POSITIVE if name.startswith("fix_") else NOT_NEGATIVE for name in self.__slots__}
+        check_each("sensor error", self, ranges)
 
     @property
     def position_m(self) -> float:
@@ -196,7 +193,7 @@ def _track(prediction: Prediction, errors: SensorErrors, random: np.random.Gener
     states = prediction.states[0, :count]
     x, y, z = (states[..., STATE_COLUMNS.index(name)] for name in ("x_m", "y_m", "sinkage_m"))
     width = prediction.rover.wheel.width_m
-    points = _apart(_filled(x, y, width), TRACK_WIDTHS * width)
+    points = _spaced(_filled(x, y, width), TRACK_WIDTHS * width)
     depth = deepest_at(points, (x, y, z), 0.5 * prediction.rover.wheel.width_m).max(axis=1)
     sigma = errors.track_m
     return pd.DataFrame(
@@ -223,7 +220,7 @@ def _filled(x_m: FloatArray, y_m: FloatArray, width_m: float) -> FloatArray:
     return np.asarray((1.0 - share) * places[low] + share * places[low + 1]).reshape(-1, 2)
 
 
-def _apart(points_m: FloatArray, least_m: float) -> FloatArray:
+def _spaced(points_m: FloatArray, least_m: float) -> FloatArray:
     """Points without those nearer than a distance to an earlier one. (p, 2) [m]"""
     from scipy.spatial import cKDTree
 

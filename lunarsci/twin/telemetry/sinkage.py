@@ -15,10 +15,12 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError
 from lunarsci.io.inputs import InputFile
-from lunarsci.io.tables import numbers_of, read_csv_table
+from lunarsci.io.tables import check_columns, numbers_of, read_csv_table
+from lunarsci.ranges import refuse
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 from lunarsci.twin.telemetry.checks import LEAST_ROW_M
+from lunarsci.twin.telemetry.hypotheses import REPORTED
 from lunarsci.twin.telemetry.reading import SURE
 from lunarsci.twin.telemetry.simulated import deepest_at
 from lunarsci.twin.telemetry.states import MOST_LEFT_OUT, DriveStates, StateRows
@@ -28,12 +30,13 @@ SIGMA_M = 0.00033
 10.1038/s41467-024-46233-8. [m]"""
 GRID = 5
 """Places across a footprint at which two terrains are compared, each way."""
-TIE_M = 0.0005
-"""Predicted sinkages that differ by less do not say which wheel is the deepest: it is the last then; assumed. [m]"""
+TIE_M = math.sqrt(2.0) * SIGMA_M
+"""Predicted sinkages that differ by less, the error of two depths, do not say which wheel is the deepest: it is the
+last then. [m]"""
 
 EARLIER = 0.15
 """Share by which a wheel must be predicted deeper than those after it to be the deepest: ground that is loaded again
-sinks further than the prediction, which knows no ruts, says; assumed, 0.14 in drives by MuJoCo with such ruts."""
+sinks further than the prediction, which knows no ruts, says: by up to 0.14 in drives by MuJoCo with such ruts."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -78,22 +81,18 @@ class RutPoints:
 def read_track(source: InputFile) -> RutPoints:
     """Depths of a track from CSV: x_m, y_m, rut_m, and optionally rut_m_sigma. Raises DataError."""
     table = read_csv_table(source)
-    for name in ("x_m", "y_m", "rut_m"):
-        if name not in table:
-            near = [str(other) for other in table.columns if str(other).rpartition("_")[0] == name.rpartition("_")[0]]
-            hint = f"; there is {near[0]}: convert it" if near else f"; there are: {', '.join(map(str, table.columns))}"
-            raise DataError(f"{source.name}: no column {name}{hint}")
+    check_columns(
+        source.name, table.columns, ("x_m", "y_m", "rut_m", "rut_m_sigma", "synthetic"), ("x_m", "y_m", "rut_m")
+    )
     x, y, rut = (numbers_of(source.name, name, table[name]) for name in ("x_m", "y_m", "rut_m"))
     sigma = np.full(len(rut), SIGMA_M)
     if "rut_m_sigma" in table:
         given = numbers_of(source.name, "rut_m_sigma", table["rut_m_sigma"])
-        if (given < 0).any():
-            row = int(np.argmax(given < 0))
-            raise DataError(f"{source.name}, row {row + 1}, rut_m_sigma: {given[row]:g}; give 0 or more")
+        refuse(
+            ["an error is below 0; give 0 or more"] * bool((given < 0).any()), f"{source.name}, rut_m_sigma", DataError
+        )
         sigma = np.where(np.isfinite(given), given, SIGMA_M)
     whole = np.isfinite(x) & np.isfinite(y) & np.isfinite(rut)
-    if not whole.any():
-        raise DataError(f"{source.name}: no row has x_m, y_m and rut_m")
     return RutPoints(place_m=np.column_stack([x, y])[whole], rut_m=rut[whole], sigma_m=sigma[whole])
 
 
@@ -101,15 +100,13 @@ def rut_points(before: Terrain, after: Terrain, places_m: FloatArray, reach_m: f
     """Depths where wheels stood, from the ground before less that after the drive; NaN heights are left out.
 
     Places (m, 2) are each compared at a grid of points within the distance. The error of a point is `SIGMA_M`; where
-    the two maps scatter more, `RutPoints.depth_at` adds it. Raises DataError where the maps have nothing in common.
+    the two maps scatter more, `RutPoints.depth_at` adds it.
     """
     steps = np.linspace(-0.7 * reach_m, 0.7 * reach_m, GRID)
     around = np.column_stack([part.ravel() for part in np.meshgrid(steps, steps)])
     points = (places_m[:, None] + around).reshape(-1, 2)
     rut = before.height_at(*points.T) - after.height_at(*points.T)
     given = np.isfinite(rut)
-    if not given.any():
-        raise DataError(f"{after.name}: no height below any wheel; is it the ground of this drive?")
     return RutPoints(place_m=points[given], rut_m=rut[given], sigma_m=np.full(int(given.sum()), SIGMA_M))
 
 
@@ -155,10 +152,6 @@ def is_table_of_ruts(source: InputFile) -> bool:
     if Path(source.name).suffix.lower() != ".csv":
         return False
     return "height_m" not in read_csv_table(source)
-
-
-ALONG = 0.5
-"""Share of the states that a track must meet; below it is not the track of this drive; assumed."""
 
 
 def with_sinkage(drive: DriveStates, track: RutPoints | Terrain, before: Terrain) -> DriveStates:
@@ -240,16 +233,16 @@ def _without_holes(values: FloatArray) -> FloatArray:
 def _check_along(drive: DriveStates, points: RutPoints, depth: FloatArray, given: BoolArray) -> None:
     met = float(np.isfinite(depth[given]).mean()) if given.any() else 0.0
     if met == 0:
+        x, y = np.median(points.place_m, axis=0) if len(points.place_m) else (math.nan, math.nan)
         raise DataError(
-            "the track has no point within half a wheel's width of a wheel; it lies about x "
-            f"{np.median(points.place_m[:, 0]):.4g} m, y {np.median(points.place_m[:, 1]):.4g} m: is it of this "
-            "drive, in its frame, in m?"
+            f"the track has no point within half a wheel's width of a wheel; it lies about x {x:.4g} m, y {y:.4g} m: "
+            "is it of this drive, in its frame, in m?"
         )
-    if met < ALONG:
+    if met < REPORTED:
         reach, apart = 0.5 * drive.rover.wheel.width_m, points.apart_m
         why = "short, or not along this drive"
         if apart > 2.0 * reach:
             why = f"sparse, its points lie {apart:.2g} m apart; give them every {reach:.2g} m or closer"
         need = f"which need points within {reach:.2g} m of a wheel"
         what = f"the track meets {100 * met:.0f} % of the states, {need}: it is {why}"
-        drive.findings.add("track apart", what, "sinkage is blank elsewhere", doubt=met < 0.5 * ALONG)
+        drive.findings.add("track apart", what, "sinkage is blank elsewhere", doubt=met < 0.5 * REPORTED)

@@ -7,225 +7,41 @@ weights to candidates. No one of them is chosen: the motion is averaged over the
 widens its errors. Errors of positions and headings follow Student's law, by weights that are found with the motion
 (Lange, Little & Taylor 1989, 10.1080/01621459.1989.10478852). The smoother, linearised anew about its own result, is
 Gauss-Newton for the whole drive (Bell 1994, 10.1137/0804035).
-
-Telemetry may be off throughout a drive. A healthy drive has constants near 0, as the plain priors say. Each hypothesis
-widens some of them: the localised point is elsewhere on the rover, headings drift, clocks differ, the rover slides at a
-halt, encoders count wrongly. As the state is linear in the constants (see `filter`), the marginal likelihood of any set
-of hypotheses is a quadratic form (MacKay 2003, ch. 28). None is chosen: constants are averaged over the sets, each as
-probable as it is.
 """
 
-import itertools
 import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray, IndexArray
+from lunarsci.arrays import FloatArray, IndexArray
 from lunarsci.errors import DataError
 from lunarsci.twin.telemetry.filter import (
     AHEAD,
-    DRIFT,
     EFFECTS,
-    LAG,
-    LEVER,
     MEANS,
-    OFFSET,
     SCALE,
     SIZE,
-    SLIDES,
     FilterRun,
     Model,
     Nodes,
+    ProcessCandidates,
     ReferenceMotion,
-    TriedProcesses,
     at_nodes,
     filtered,
     linearised,
     smoothed_back,
 )
-
-MEAN_SIGMA = (0.3, 0.1, 0.05)
-"""Of the constant deviations, ahead and left as shares, turn in 1/m, where nothing is known: wide; assumed."""
-LEVEL, LEVEL_SIGMA = -0.03, (0.15, 0.02)
-"""Deviation ahead on level ground, as measured on soils drawn from the default priors: they slip by 0.03 in the median,
-and 16 to 84 % by -0.04 to 0.11. Its standard deviation is twice as wide, lest it draw the radius along, and that to
-the left."""
-EFFECT_MEAN, EFFECT_SIGMA = (0.8, 2.0, 0.0, 0.0, 0.0), (0.6, 2.0, 0.1, 0.02, 0.02)
-"""Of the coefficients: slip grows about as the slope is steep, side slip about twice so, and a rover that steers turns
-about as its wheels say. As wide as measured on soils drawn from the default priors: 0.4 to 2.2, 0.8 to 5, -0.1 to 0,
-and -0.01 to 0 in drives by the twin."""
-SKID_SIGMA = (0.4, 0.2, 0.1)
-"""Of the last three for a rover that steers by its sides' speeds: its tracks are up to twice as far apart as its
-wheels, and turn about places that lie off its axles (Mandow et al. 2007, 10.1109/IROS.2007.4399139). [-, m, m]"""
-RIM_SIGMA = 0.03
-"""Of ln of a wheel's rolling radius on soil, between shell and grousers, over that of its file; assumed."""
-POINT_M, CLOCK_S, STANDS_M = 0.01, 0.1, 2e-4
-"""How well the localised point [m] and the clock [s] are usually known, and a rover stands at a halt [m]; assumed."""
-ELSEWHERE_M, DRIFTS_RAD, LATE_S, SLIDES_M = 0.3, math.radians(5.0), 3.0, 0.3
-"""Standard deviation of the localised point, the drift, the lag and the slide where there is one; assumed."""
-RARE, OFTEN = math.log(0.1), math.log(3.0)
-"""ln of the odds of each hypothesis beforehand, and of that encoders are wrong where they differ from the commands, as
-a motor that is controlled turns as told; assumed."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Hypothesis:
-    """Constants that may be far from 0.
-
-    Attributes
-    ----------
-    name : a word for it.
-    members : which constants.
-    mean, sigma : their prior if it holds.
-    ln_odds : beforehand.
-    slide : which of `Nodes.slides` it concerns, -1 for none.
-    reported : whether it is worth a word where it holds.
-    """
-
-    name: str
-    members: tuple[int, ...]
-    sigma: float
-    mean: float = 0.0
-    ln_odds: float = RARE
-    slide: int = -1
-    reported: bool = True
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Priors:
-    """What is believed of the constants beforehand.
-
-    Attributes
-    ----------
-    mean, sigma : of a healthy drive. (k,), (k,)
-    hypotheses : what else may be.
-    """
-
-    mean: FloatArray
-    sigma: FloatArray
-    hypotheses: tuple[Hypothesis, ...] = ()
-
-    @classmethod
-    def plain(cls, nodes: Nodes) -> "Priors":
-        """Only slip, side slip and turn, and what slopes do to them, are unknown."""
-        mean, sigma = np.zeros(nodes.constants), np.zeros(nodes.constants)
-        mean[3:SCALE] = EFFECT_MEAN
-        sigma[:SCALE] = (*MEAN_SIGMA, *EFFECT_SIGMA)
-        return cls(mean=mean, sigma=sigma)
-
-    @classmethod
-    def of_drive(cls, nodes: Nodes, *, skids: bool, obedience: float = 1.0) -> "Priors":
-        """All of them.
-
-        Parameters
-        ----------
-        skids : whether no wheel of the rover is steered.
-        obedience : rim speed measured over commanded, 1 where there is no command. What differs may be the encoders'.
-        """
-        plain = cls.plain(nodes)
-        mean, sigma = plain.mean, plain.sigma
-        if skids:
-            sigma[5:SCALE] = SKID_SIGMA
-        mean[0], sigma[:2] = LEVEL, LEVEL_SIGMA
-        heading = float(np.nanmedian(nodes.yaw_sigma_rad))
-        sigma[SCALE], sigma[LEVER], sigma[[OFFSET, DRIFT]], sigma[LAG] = RIM_SIGMA, POINT_M, heading, CLOCK_S
-        sigma[SLIDES:] = STANDS_M
-        hypotheses = [
-            Hypothesis(name="much slip", members=(0,), sigma=MEAN_SIGMA[0], reported=False),
-            Hypothesis(name="constant side slip", members=(1,), sigma=MEAN_SIGMA[1]),
-            Hypothesis(name="lever arm", members=(9, 10), sigma=ELSEWHERE_M),
-            Hypothesis(name="heading drift", members=(DRIFT,), sigma=DRIFTS_RAD),
-            Hypothesis(name="lag", members=(LAG,), sigma=LATE_S),
-            Hypothesis(
-                name="encoder scale",
-                members=(SCALE,),
-                sigma=RIM_SIGMA,
-                mean=-math.log(obedience),
-                ln_odds=OFTEN,
-                reported=abs(math.log(obedience)) > RIM_SIGMA,
-            ),
-        ]
-        for number in range(len(nodes.slides)):
-            members = (SLIDES + 2 * number, SLIDES + 2 * number + 1)
-            name = "slide at a halt" if number < len(nodes.halts) else "position shift"
-            hypotheses.append(Hypothesis(name=name, members=members, sigma=SLIDES_M, slide=number))
-        return cls(mean=mean, sigma=sigma, hypotheses=tuple(hypotheses))
-
-    def under(self, held: BoolArray) -> tuple[FloatArray, FloatArray, float]:
-        """Mean, sigma, and ln of the odds beforehand, where some hypotheses hold."""
-        mean, sigma, ln_odds = self.mean.copy(), self.sigma.copy(), 0.0
-        for one in itertools.compress(self.hypotheses, held):
-            members = list(one.members)
-            mean[members], sigma[members] = one.mean, one.sigma
-            ln_odds += one.ln_odds
-        return mean, sigma, ln_odds
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Posterior:
-    """Constants after the measurements, averaged over the sets of hypotheses that were weighed.
-
-    mean (k,), covariance (k, k), `ln_likelihood` marginal, up to a constant, and how probable each hypothesis is.
-    """
-
-    mean: FloatArray
-    covariance: FloatArray
-    ln_likelihood: float
-    probable: FloatArray
-
-
-def ln_evidence(squares: FloatArray, mean: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """ln of the marginal likelihood (m,), means (m, k) and covariances (m, k, k) of normal constants.
-
-    `squares` are those of a `FilterRun`, (m, 1 + k, 1 + k).
-    """
-    at_mean = squares[:, 1:, 0] + squares[:, 1:, 1:] @ mean
-    chi_square = squares[:, 0, 0] + (squares[:, 0, 1:] + at_mean) @ mean
-    precision = np.eye(len(mean)) + sigma[:, None] * squares[:, 1:, 1:] * sigma
-    off = np.linalg.solve(precision, -(sigma * at_mean)[..., None])[..., 0]
-    chi_square = chi_square + np.einsum("mi,mi->m", off, sigma * at_mean)
-    covariance = sigma[:, None] * np.linalg.inv(precision) * sigma
-    return -0.5 * chi_square - 0.5 * np.linalg.slogdet(precision)[1], mean + sigma * off, covariance
-
-
-def likely_sets(priors: Priors, squares: FloatArray) -> list[BoolArray]:
-    """Sets of hypotheses to average over: the most probable one that is reached hypothesis by hypothesis, and all that
-    differ from it by one. `squares` are those of one assumption. (1 + k, 1 + k)"""
-    held = np.zeros(len(priors.hypotheses), dtype=bool)
-
-    def probable(tried: BoolArray) -> float:
-        mean, sigma, ln_odds = priors.under(tried)
-        return ln_odds + float(ln_evidence(squares[None], mean, sigma)[0][0])
-
-    best = probable(held)
-    while True:
-        near = [np.where(np.arange(len(held)) == k, ~held, held) for k in range(len(held))]
-        values = [probable(one) for one in near]
-        if not values or max(values) <= best:
-            return [held, *near]
-        best, held = max(values), near[int(np.argmax(values))]
-
-
-def averaged(priors: Priors, run: FilterRun, sets: list[BoolArray]) -> list[Posterior]:
-    """The constants for each assumption of a run."""
-    parts = []
-    for held in sets:
-        mean, sigma, ln_odds = priors.under(held)
-        ln_likelihood, means, covariances = ln_evidence(run.squares, mean, sigma)
-        parts.append((ln_odds + ln_likelihood + run.ln_likelihood, means, covariances))
-    ln_all, means, covariances = (np.stack(part, axis=1) for part in zip(*parts, strict=True))
-    highest = ln_all.max(axis=1, keepdims=True)
-    whole = highest[:, 0] + np.log(np.exp(ln_all - highest).sum(axis=1))
-    weights = np.exp(ln_all - whole[:, None])
-    result = []
-    for k, weight in enumerate(weights):
-        mean = weight @ means[k]
-        apart = means[k] - mean
-        covariance = np.einsum("s,sij->ij", weight, covariances[k] + apart[:, :, None] * apart[:, None, :])
-        result.append(Posterior(mean, covariance, float(whole[k]), weight @ np.array(sets)))
-    return result
-
+from lunarsci.twin.telemetry.hypotheses import (
+    EFFECT_MEAN,
+    FREEDOM,
+    LN_ODDS,
+    MEAN_SIGMA,
+    Posterior,
+    Priors,
+    averaged,
+    probable_sets,
+)
 
 LENGTHS_M = (0.35, 0.7, 1.4, 2.8)
 """Candidates for the way over which deviations change: from half the length of a rover, which averages the ground below
@@ -234,25 +50,33 @@ their errors at most, as measured by `tests/benchmarks/telemetry_constants.py`. 
 AMPLITUDES = (0.0007, 0.0017, 0.004, 0.01, 0.025, 0.06, 0.15, 0.4)
 """Candidates for the changing parts of ahead and left, as measured; times `SHARES`, the last in 1/m."""
 SHARES = np.array([1.0, 1.0, 0.3])
-"""How much less turns change than slip and side slip, by which amplitudes are multiplied; assumed."""
+"""How much less turns change than slip and side slip, by which amplitudes are multiplied. Half or twice as much moves
+slips by 0.14 of their errors at most, as measured."""
 LEAST, UNEXPLAINED, STEP_M = 0.0005, 0.15, 0.5
 """What is believed of the amplitude beforehand: so much, and such a share of what slopes are thought to change over so
 long a way. As measured: linear effects of slopes leave 0.02 to 0.15 of it in drives by the twin and by MuJoCo with
 stress integrals, and 0.2 to 0.5, or more sideways, where the soil changes too."""
-UNKNOWN = 0.02
-"""The same where the slopes are not known; assumed."""
 WIDTH = 1.7
-"""How widely it is believed, in ln; assumed."""
+"""How widely it is believed, in ln. Half or twice as much moves slips by 0.3 of their errors at most, as measured."""
 WALKS, WALK_ODDS = (0.0, 0.02, 0.045, 0.08), (0.16, 0.28, 0.28, 0.28)
 """Candidates for how the error that positions share grows, and how probable each is beforehand: visual odometry walks
 by some centimetres a root metre; assumed. [m / sqrt(m)]"""
-COARSE = np.array([0.1, 0.1, 0.05])
-"""How slip changes while nothing is known of it: widely; assumed."""
+COARSE = np.array([MEAN_SIGMA[1], MEAN_SIGMA[1], MEAN_SIGMA[2]])
+"""How slip changes while nothing is known of it: as widely as it is unknown."""
 ORDER = (2, 1, 0)
 """Of the velocities, the best known first: headings tell how the turn changes."""
 DRAWN = 12
 STRIDES = (1, 5, 7, 11)
 """By which the draws of the three deviations and the walk are mixed: without a common divisor with `DRAWN`."""
+FAR = -2.0 * LN_ODDS["failure"]
+"""Mahalanobis distance squared from which on a position or a heading is more probably wrong altogether, and is looked
+at alone."""
+MEDIAN_OF_TWO = 2.0 * math.log(2.0)
+"""Median of chi-square with two degrees of freedom."""
+ROUNDS = 4
+"""Of weights, constants and the motion about which the model is linear, until they agree."""
+HELD_BYTES = 1 << 28
+"""Of covariances that are held at a time; assumptions are taken in turn where it would be more."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -299,20 +123,20 @@ class SlipProcess:
         return cls.fixed(COARSE, np.full(3, LENGTHS_M[1]))
 
     @property
-    def middle(self) -> TriedProcesses:
+    def middle(self) -> ProcessCandidates:
         """The usual ones alone."""
         walk = np.array([self.usual_walk])
-        return TriedProcesses(amplitude=self.usual[None], length_m=self.usual_length_m[None], walk=walk)
+        return ProcessCandidates(amplitude=self.usual[None], length_m=self.usual_length_m[None], walk=walk)
 
     @property
-    def all(self) -> TriedProcesses:
+    def all(self) -> ProcessCandidates:
         """All candidates."""
-        return TriedProcesses(amplitude=self.amplitude, length_m=self.length_m, walk=self.walk)
+        return ProcessCandidates(amplitude=self.amplitude, length_m=self.length_m, walk=self.walk)
 
 
-def believed_change(nodes: Nodes) -> SlipProcess:
+def prior_process(nodes: Nodes) -> SlipProcess:
     """What is believed before positions and headings say anything."""
-    return SlipProcess.fixed(_believed(nodes), np.full(3, LENGTHS_M[1]))
+    return SlipProcess.fixed(_prior_amplitude(nodes), np.full(3, LENGTHS_M[1]))
 
 
 def change_of(nodes: Nodes, priors: Priors | None = None, reference: ReferenceMotion | None = None) -> SlipProcess:
@@ -324,16 +148,16 @@ def change_of(nodes: Nodes, priors: Priors | None = None, reference: ReferenceMo
     reference : a motion that is about right; None takes dead reckoning.
     """
     priors = priors or Priors.plain(nodes)
-    believed = _believed(nodes)
+    believed = _prior_amplitude(nodes)
     amplitude, length, walk = COARSE.copy(), np.full(3, LENGTHS_M[1]), 0.0
     reference = reference or ReferenceMotion.first(nodes)
     sets = [np.zeros(len(priors.hypotheses), dtype=bool)]
     if priors.hypotheses:
-        usual = TriedProcesses(amplitude=amplitude[None], length_m=length[None], walk=np.zeros(1))
-        sets = likely_sets(priors, filtered(Model.about(nodes, reference, usual), every_node=False).squares[0])
+        usual = ProcessCandidates(amplitude=amplitude[None], length_m=length[None], walk=np.zeros(1))
+        sets = probable_sets(priors, filtered(Model.about(nodes, reference, usual), every_node=False).squares[0])
 
     def likelihood(tried_a: FloatArray, tried_l: FloatArray, tried_w: FloatArray) -> FloatArray:
-        assumed = TriedProcesses(amplitude=tried_a, length_m=tried_l, walk=tried_w)
+        assumed = ProcessCandidates(amplitude=tried_a, length_m=tried_l, walk=tried_w)
         run = filtered(Model.about(nodes, reference, assumed), every_node=False)
         return np.array([one.ln_likelihood for one in averaged(priors, run, sets)])
 
@@ -357,7 +181,7 @@ def change_of(nodes: Nodes, priors: Priors | None = None, reference: ReferenceMo
         length[channel] = math.exp(weights[channel] @ ln_l)
     spread = np.sqrt([weight @ (ln_a - weight @ ln_a) ** 2 for weight in weights])
     beside = np.maximum(weights, 1e-300) / [_normed(row) for row in prior]
-    drawn = [_drawn(weight, stride) for weight, stride in zip((*weights, walked), STRIDES, strict=True)]
+    drawn = [_draws(weight, stride) for weight, stride in zip((*weights, walked), STRIDES, strict=True)]
     picked = np.column_stack(drawn[:3])
     return SlipProcess(
         amplitude=np.exp(ln_a[picked]) * SHARES,
@@ -371,11 +195,9 @@ def change_of(nodes: Nodes, priors: Priors | None = None, reference: ReferenceMo
     )
 
 
-def _believed(nodes: Nodes) -> FloatArray:
+def _prior_amplitude(nodes: Nodes) -> FloatArray:
     """Amplitudes believed beforehand: ahead, left, and turn, for which slopes do little. (3,)"""
-    if nodes.effect is None:
-        return UNKNOWN * SHARES
-    effect = nodes.effect[:, :2] @ np.array(EFFECT_MEAN)
+    effect = nodes.effects[:, :2] @ np.array(EFFECT_MEAN)
     way = np.append(0.0, np.cumsum(nodes.way_m))
     later = np.column_stack([np.interp(way + STEP_M, way, column) for column in effect.T])
     ahead, left = LEAST + UNEXPLAINED * np.sqrt(((later - effect) ** 2).mean(axis=0))
@@ -387,23 +209,11 @@ def _normed(ln_weight: FloatArray) -> FloatArray:
     return np.asarray(weight / weight.sum())
 
 
-def _drawn(weight: FloatArray, stride: int) -> IndexArray:
+def _draws(weight: FloatArray, stride: int) -> IndexArray:
     """Candidates as often as they are probable, in an order of their own. (m,)"""
     levels = (np.arange(DRAWN) + 0.5) / DRAWN
     picked = np.minimum(np.searchsorted(np.cumsum(weight), levels), len(weight) - 1)
     return np.asarray(picked[(stride * np.arange(DRAWN)) % DRAWN])
-
-
-FAR = 20.0
-"""Mahalanobis distance squared from which on a measurement is looked at alone, once in 22 000 by chance; assumed."""
-MEDIAN_OF_TWO = 2.0 * math.log(2.0)
-"""Median of chi-square with two degrees of freedom."""
-FREEDOM = 4.0
-"""Of Student's law of the errors of positions and headings (Gelman et al. 2013, ch. 17: few degrees, as 4)."""
-ROUNDS = 4
-"""Of weights, constants and the motion about which the model is linear, until they agree."""
-HELD_BYTES = 1 << 28
-"""Of covariances that are held at a time; assumptions are taken in turn where it would be more."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -413,10 +223,8 @@ class Smoothed:
     Attributes
     ----------
     state, covariance : mean and covariance of the state and, behind it, of the constants. (n, 11 + k), ...
-    effect, heads, bend : `Nodes.effects`, and `Nodes.heads` and `Nodes.bend` at the nodes. (n, 3, 5), (n,), (n,)
+    effect, direction, turn_gain : those of `Nodes`, the last two at the nodes. (n, 3, 5), (n,), (n,)
     change : how fast the deviations ahead, left and turn change.
-    squared_distance : Mahalanobis distance squared of each position from where all else puts it, else NaN. (n,)
-    yaw_squared_distance : the same of each heading. (n,)
     fix_weight, yaw_weight : how much each position and heading counts, 1 for one that is as good as it says. (n,)
     reduced_chi_square : of the positions.
     posterior : of the constants.
@@ -425,11 +233,9 @@ class Smoothed:
     state: FloatArray
     covariance: FloatArray
     effect: FloatArray
-    heads: FloatArray
-    bend: FloatArray
+    direction: FloatArray
+    turn_gain: FloatArray
     change: SlipProcess
-    squared_distance: FloatArray
-    yaw_squared_distance: FloatArray
     fix_weight: FloatArray
     yaw_weight: FloatArray
     reduced_chi_square: float
@@ -447,8 +253,8 @@ class Smoothed:
         picks = np.zeros((len(self.state), 4, self.state.shape[1]))
         for row, (k, mean) in enumerate(zip(AHEAD, MEANS, strict=True)):
             picks[:, row, k] = picks[:, row, mean] = 1.0
-        picks[:, 0, MEANS[0]] = self.heads
-        picks[:, 2, AHEAD[2]] = self.bend
+        picks[:, 0, MEANS[0]] = self.direction
+        picks[:, 2, AHEAD[2]] = self.turn_gain
         picks[:, :3, EFFECTS] = self.effect
         picks[:, 3, SIZE + SCALE] = 1.0
         return picks
@@ -480,15 +286,13 @@ def smooth(
     priors : of the constants; None takes the plain ones, and errors that are normal.
     start : what the model is first linearised about; None takes dead reckoning.
 
-    Raises DataError for fewer than two positions, or where the numbers do not hold.
+    Raises DataError where the numbers do not hold.
     """
-    if nodes.fixed.sum() < 2:
-        raise DataError("fewer than two positions of use; slip needs two or more")
     robust, priors = priors is not None, priors or Priors.plain(nodes)
     try:
         reference = start or ReferenceMotion.first(nodes)
         if robust and (reference.fix_weight == 1.0).all():
-            reference = _without_far_ones(nodes, reference, priors)
+            reference = _downweighted(nodes, reference, priors)
         for number in range(ROUNDS):
             tried = change or SlipProcess.coarse()
             reference = _round(nodes, reference, tried, priors, robust=robust)
@@ -499,19 +303,16 @@ def smooth(
     except np.linalg.LinAlgError as error:
         raise DataError("the motion cannot be found: errors of positions or headings are absurd") from error
     off, spread = _residuals(nodes, reference, state, covariance)
-    squared, chi_square, count = _squared_distances(nodes, off, spread, reference.fix_weight)
     return Smoothed(
         state=state,
         covariance=covariance,
         effect=nodes.effects,
-        heads=at_nodes(nodes.heads),
-        bend=at_nodes(nodes.bend),
+        direction=at_nodes(nodes.direction),
+        turn_gain=at_nodes(nodes.turn_gain),
         change=change,
-        squared_distance=squared,
-        yaw_squared_distance=_yaw_squared_distances(nodes, off, spread, reference.yaw_weight),
         fix_weight=reference.fix_weight,
         yaw_weight=reference.yaw_weight,
-        reduced_chi_square=chi_square / max(count, 1),
+        reduced_chi_square=_reduced_chi_square(nodes, reference.fix_weight, off, spread),
         posterior=posterior,
     )
 
@@ -531,7 +332,7 @@ def _residuals(
 def probable(nodes: Nodes, change: SlipProcess, priors: Priors, reference: ReferenceMotion) -> tuple[FloatArray, float]:
     """Constants (k,), and ln of how probable positions and headings are, up to a constant."""
     run = filtered(Model.about(nodes, reference, change.middle), every_node=False)
-    (posterior,) = averaged(priors, run, likely_sets(priors, run.squares[0]))
+    (posterior,) = averaged(priors, run, probable_sets(priors, run.squares[0]))
     return posterior.mean, posterior.ln_likelihood
 
 
@@ -552,11 +353,11 @@ def _about(
     """State and constants (n, 11 + k), their covariance, and the constants alone, for the usual change."""
     model = Model.about(nodes, reference, change.middle)
     run = smoothed_back(model, filtered(model))
-    (posterior,) = averaged(priors, run, likely_sets(priors, run.squares[0]))
+    (posterior,) = averaged(priors, run, probable_sets(priors, run.squares[0]))
     return *_joined(run, 0, posterior), posterior.mean
 
 
-def _without_far_ones(nodes: Nodes, reference: ReferenceMotion, priors: Priors) -> ReferenceMotion:
+def _downweighted(nodes: Nodes, reference: ReferenceMotion, priors: Priors) -> ReferenceMotion:
     """Weights to begin with: the position that is farthest from where all others put it hardly counts, then the next.
 
     Student's law has several modes. Where a wrong position counts as much as any at first, its neighbours may end as
@@ -567,8 +368,7 @@ def _without_far_ones(nodes: Nodes, reference: ReferenceMotion, priors: Priors) 
         reference = replace(reference, fix_weight=fix_weight, yaw_weight=yaw_weight)
         state, covariance, constants = _about(nodes, reference, SlipProcess.coarse(), priors)
         off, spread = _residuals(nodes, reference, state, covariance)
-        fixes = np.nan_to_num(_squared_distances(nodes, off, spread, fix_weight)[0])
-        headings = np.nan_to_num(_yaw_squared_distances(nodes, off, spread, yaw_weight))
+        fixes, headings = (np.nan_to_num(one) for one in _distances(nodes, reference, off, spread))
         fixes[fix_weight < 1.0], headings[yaw_weight < 1.0] = 0.0, 0.0
         reference = replace(reference, state=state[:, :SIZE], constants=constants)
         if max(fixes.max(), headings.max()) < FAR:
@@ -614,11 +414,13 @@ def _averaged(
     whole, every = SIZE + nodes.constants, change.all
     count, many = len(reference.state), len(every.walk)
     each = max(1, HELD_BYTES // (8 * SIZE * (SIZE + whole) * count))
-    sets = likely_sets(priors, filtered(Model.about(nodes, reference, change.middle), every_node=False).squares[0])
+    sets = probable_sets(priors, filtered(Model.about(nodes, reference, change.middle), every_node=False).squares[0])
     means, covariance, posteriors = np.zeros((many, count, whole)), np.zeros((count, whole, whole)), list[Posterior]()
     for first in range(0, many, each):
         some = slice(first, first + each)
-        assumed = TriedProcesses(amplitude=every.amplitude[some], length_m=every.length_m[some], walk=every.walk[some])
+        assumed = ProcessCandidates(
+            amplitude=every.amplitude[some], length_m=every.length_m[some], walk=every.walk[some]
+        )
         model = Model.about(nodes, reference, assumed)
         run = smoothed_back(model, filtered(model))
         for k, posterior in enumerate(averaged(priors, run, sets)):
@@ -636,29 +438,45 @@ def _averaged(
     return mean, covariance, Posterior(mean[-1, SIZE:], covariance[-1, SIZE:, SIZE:], ln_likelihood, held)
 
 
-def _yaw_squared_distances(nodes: Nodes, off: FloatArray, spread: FloatArray, weight: FloatArray) -> FloatArray:
-    """The same of headings. (n,)"""
-    errors = nodes.yaw_sigma_rad**2
-    counted = errors / weight
-    left = np.maximum(counted - spread[:, 2, 2], 1e-3 * counted)
-    # Without the heading itself it is off by more, from a motion that is less well known.
-    return np.asarray((off[:, 2] * counted / left) ** 2 / (errors + counted**2 / left - counted))
+def _squared_distances(errors: FloatArray, weight: FloatArray, off: FloatArray, spread: FloatArray) -> FloatArray:
+    """Mahalanobis distance squared of measurements from what all others say of them. (n,)
+
+    Parameters
+    ----------
+    errors : covariances as stated, which `weight` divides. (n, d, d), (n,)
+    off, spread : residuals, and how well it is known where measurements should be. (n, d), (n, d, d)
+    """
+    counted = errors / weight[:, None, None]
+    value, axes = np.linalg.eigh(counted - spread)
+    # Without the measurement itself it is off by more, from a motion that is less well known.
+    gain = (
+        counted
+        @ (axes / np.maximum(value, 1e-6 * np.trace(errors, axis1=1, axis2=2)[:, None])[:, None])
+        @ np.swapaxes(axes, 1, 2)
+    )
+    alone = gain @ off[..., None]
+    return np.asarray((alone * np.linalg.solve(errors + gain @ counted - counted, alone)).sum(axis=(1, 2)))
 
 
-def _squared_distances(
-    nodes: Nodes, off: FloatArray, spread: FloatArray, weight: FloatArray
-) -> tuple[FloatArray, float, int]:
-    """Mahalanobis distance squared of each position from what all others say of it; chi-square, and its freedom."""
-    squared_distance = np.full(len(nodes.time_s), np.nan)
-    chi_square, count = 0.0, 0.0
-    for k in np.flatnonzero(nodes.fixed):
-        errors, apart = nodes.fix_covariance_m2[k], off[k, :2]
-        counted = errors / weight[k]
-        left = counted - spread[k, :2, :2]
-        value, axes = np.linalg.eigh(left)
-        inverse = axes @ np.diag(1.0 / np.maximum(value, 1e-6 * np.trace(errors))) @ axes.T
-        alone, elsewhere = counted @ inverse @ apart, counted @ inverse @ counted - counted
-        squared_distance[k] = float(alone @ np.linalg.solve(errors + elsewhere, alone))
-        chi_square += float(apart @ np.linalg.solve(counted, apart))
-        count += float(np.trace(np.linalg.solve(counted, left)))
-    return squared_distance, chi_square, max(round(count), 1)
+def _distances(
+    nodes: Nodes, reference: ReferenceMotion, off: FloatArray, spread: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Those of positions and of headings, NaN where there is none. (n,), (n,)"""
+    fixes, headings = np.full((2, len(off)), np.nan)
+    fixed, given = nodes.fixed, np.isfinite(nodes.yaw_rad)
+    fixes[fixed] = _squared_distances(
+        nodes.fix_covariance_m2[fixed], reference.fix_weight[fixed], off[fixed, :2], spread[fixed, :2, :2]
+    )
+    headings[given] = _squared_distances(
+        nodes.yaw_sigma_rad[given, None, None] ** 2, reference.yaw_weight[given], off[given, 2:], spread[given, 2:, 2:]
+    )
+    return fixes, headings
+
+
+def _reduced_chi_square(nodes: Nodes, weight: FloatArray, off: FloatArray, spread: FloatArray) -> float:
+    """Of the positions."""
+    fixed = nodes.fixed
+    counted = nodes.fix_covariance_m2[fixed] / weight[fixed, None, None]
+    chi_square = (off[fixed, :2] * np.linalg.solve(counted, off[fixed, :2, None])[..., 0]).sum()
+    freedom = 2.0 * fixed.sum() - np.trace(np.linalg.solve(counted, spread[fixed, :2, :2]), axis1=1, axis2=2).sum()
+    return float(chi_square / max(round(float(freedom)), 1))

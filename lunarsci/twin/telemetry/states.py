@@ -27,64 +27,64 @@ from lunarsci.twin.simulation.prescribed_motion import PrescribedLoads, prescrib
 from lunarsci.twin.telemetry.checks import (
     FAST,
     HALT,
-    LEAST_ROW_M,
     WheelPace,
-    by_the_plan,
+    aligned_with_plan,
+    check_attitude,
     check_ends,
     check_pace,
     check_slips,
     ordered,
     steering_angles,
     time_gaps,
-)
-from lunarsci.twin.telemetry.filter import DRIFT, LAG, LEVER, LINEAR_S, SCALE, SLIDES, Nodes, lag_of_turns, linearised
-from lunarsci.twin.telemetry.nodes import (
-    Rows,
-    denser,
-    motion_at,
-    nodes_of,
-    on_ground,
-    put_back,
-    slips_of,
-    turn_effect,
-    wheel_velocities,
-    within,
-)
-from lunarsci.twin.telemetry.reading import SHARED, STILL, SURE, Findings, Positions, Telemetry
-from lunarsci.twin.telemetry.readings import (
-    as_meant,
-    check_attitude,
-    in_units,
-    sway_m,
     usable_headings,
     usable_positions,
 )
-from lunarsci.twin.telemetry.smoother import (
-    FAR,
+from lunarsci.twin.telemetry.filter import LAG, LEVER, LINEAR_S, MOST_PARTS, SCALE, Nodes, lag_of_turns, linearised
+from lunarsci.twin.telemetry.hypotheses import (
+    FINEST_M,
     FREEDOM,
-    LATE_S,
-    MEDIAN_OF_TWO,
-    Hypothesis,
+    MOTION,
+    REPORTED,
     Posterior,
     Priors,
-    SlipProcess,
-    Smoothed,
-    smooth,
+    as_meant,
+    in_units,
 )
+from lunarsci.twin.telemetry.nodes import (
+    Rows,
+    densified,
+    motion_at,
+    nodes_of,
+    overlapping,
+    shifted_back,
+    slips_of,
+    turn_effect,
+    wheel_velocities,
+    with_ground_effects,
+)
+from lunarsci.twin.telemetry.reading import LEAST_ROW_M, OBEYED, SHARED, STILL, SURE, Findings, Positions, Telemetry
+from lunarsci.twin.telemetry.smoother import FAR, SlipProcess, Smoothed, smooth
 from lunarsci.twin.telemetry.wheel_motion import (
-    ON_THE_SPOT,
     WheelMotion,
     body_twist,
     mean_speed,
     of_one_motion,
+    sway_m,
     wheel_motion,
 )
 
 if TYPE_CHECKING:
     import pandas as pd
 
-UNEVEN = 0.2
-"""Change of speed, in ln, about a node from which on it is a start or a stop, without a state; assumed."""
+HARDLY = (FREEDOM + 2.0) / (FREEDOM + FAR)
+"""Weight below which, beside the best one, a position or a heading is said to be left out: that of `FAR`."""
+MOST_LEFT_OUT = 0.2
+"""Share of the positions left out beyond which the result is in doubt; assumed."""
+LATE = next(one for one in MOTION if one.name == "lag")
+MOST_LAGS = 3
+"""Times that a lag is put back and looked for again."""
+BASIS = "positions"
+"""What slip and side slip rest on: the positions of `position_table`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -141,10 +141,10 @@ def state_rows(
     """States of every wheel at nodes where the rover drives, at most once between two positions, and at halts."""
     speed = np.hypot(nodes.twist[:, 0], nodes.twist[:, 1])
     steps = np.diff(nodes.time_s)
-    drives = (speed > ON_THE_SPOT * nodes.way_m / steps) & (speed > STILL * wheels.usual_m_s)
+    drives = (speed > STILL * nodes.way_m / steps) & (speed > STILL * wheels.usual_m_s)
     distance = np.append(0.0, np.cumsum(np.where(drives, speed * steps, 0.0)))
     gap_nodes = np.add.reduceat(gaps.astype(int), rows[:-1]) > 0
-    chosen, halted = _chosen(nodes, drives, distance, gap_nodes, findings)
+    chosen, halted = _state_nodes(nodes, drives, distance, gap_nodes, findings)
     velocities = wheel_velocities(rover, nodes, smoothed, held)
     slip, side, slip_sigma, side_sigma, shared = (part[chosen] for part in slips_of(velocities, motion))
     low, high = (rows[np.clip(chosen + step, 0, len(rows) - 1)] for step in (-1, 1))
@@ -192,7 +192,7 @@ def _rims(wheels: WheelMotion, low: IndexArray, high: IndexArray) -> FloatArray:
         return np.asarray((sums[high] - sums[low]) / (counts[high] - counts[low]))
 
 
-def _chosen(
+def _state_nodes(
     nodes: Nodes, drives: BoolArray, distance_m: FloatArray, gap: BoolArray, findings: Findings
 ) -> tuple[IndexArray, BoolArray]:
     """Nodes midway between positions, no closer than `LEAST_ROW_M`, and one for each halt.
@@ -201,7 +201,7 @@ def _chosen(
     """
     fixes = np.flatnonzero(nodes.fixed)
     pace = nodes.way_m / np.diff(nodes.time_s)
-    even = np.abs(np.log(np.maximum(pace[1:], 1e-12) / np.maximum(pace[:-1], 1e-12))) < UNEVEN
+    even = np.abs(np.log(np.maximum(pace[1:], 1e-12) / np.maximum(pace[:-1], 1e-12))) < OBEYED
     driven, dark = (np.pad(one, 1) for one in (drives[1:] & drives[:-1], gap[1:] | gap[:-1]))
     dark[[0, -1]] = gap[[0, -1]]
     lost = np.append(0, np.cumsum(gap))
@@ -231,19 +231,6 @@ def _chosen(
     return chosen, np.isin(chosen, halts)
 
 
-HELD = 0.5
-"""Probability from which on a hypothesis is said: it is more probable than not."""
-HARDLY = (FREEDOM + 2.0) / (FREEDOM + FAR)
-"""Weight below which, beside the best one, a position or a heading is said to be left out: that of `FAR`."""
-MOST_JUMPS = 8
-"""Ways on which positions may shift; where more are odd, positions are bad altogether; assumed."""
-MOST_LEFT_OUT = 0.2
-"""Share of the positions left out beyond which the result is in doubt; assumed."""
-LEAST_SCATTER, FINEST_M = 0.05, 5e-4
-"""Median square of what positions are off by over that of their errors, and a standard error [m], below which their
-errors are not believed; assumed."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lag:
     """By how much positions and headings are later than the columns of the wheels.
@@ -269,97 +256,62 @@ class Lag:
     @property
     def likely(self) -> bool:
         """Whether a lag is more probable than none."""
-        return self.probable > HELD
+        return self.probable > REPORTED
 
     def to_dict(self) -> dict[str, float | bool]:
         """For a result."""
         return {"lag_s": self.lag_s, "sigma_s": self.sigma_s, "found": self.likely}
 
 
-def say_constants(smoothed: Smoothed, nodes: Nodes, priors: Priors, lag: Lag, findings: Findings) -> None:
+def report_hypotheses(smoothed: Smoothed, nodes: Nodes, priors: Priors, lag: Lag, findings: Findings) -> None:
     """Say each hypothesis that is more probable than not, with what was found; the motion holds it."""
     mean, sigma = smoothed.posterior.mean, np.sqrt(np.diag(smoothed.posterior.covariance))
 
-    def value(k: int, unit: str, factor: float = 1.0) -> str:
-        return f"{factor * mean[k]:.3g} +- {factor * sigma[k]:.2g} {unit}"
-
-    ahead, left = LEVER.start, LEVER.start + 1
-    text = {
-        "lever arm": (
-            f"positions are those of a point {value(ahead, 'm')} ahead and {value(left, 'm')} to the left of the "
-            "rover's origin",
-            "the motion is that of the origin; give positions of the origin",
-        ),
-        "heading drift": (
-            f"headings drift by {value(DRIFT, 'deg', math.degrees(1.0))} until the end",
-            "the motion is without the drift",
-        ),
-        "lag": (
-            f"the rover moves {abs(lag.lag_s):.3g} +- {lag.sigma_s:.2g} s "
-            f"{'later' if lag.lag_s > 0 else 'earlier'} than its wheels say",
-            f"positions and headings are put back, as --lag {lag.lag_s:.2f} does",
-        ),
-        "constant side slip": (
-            f"the rover glides by {value(1, 'deg', math.degrees(1.0))} all the way, positive to the left",
-            "kept; a heading that is off throughout looks the same",
-        ),
-        "encoder scale": (
-            f"the rims turn {math.exp(mean[SCALE]):.3f} +- {sigma[SCALE]:.3f} times as far as their encoders say",
-            "slip is of the rims",
-        ),
-    }
     for one, probable in zip(priors.hypotheses, smoothed.posterior.probable, strict=True):
-        probable = lag.probable if one.name == "lag" else probable
-        if probable <= HELD or not one.reported:
+        late = one.name == "lag"
+        if (lag.probable if late else probable) <= REPORTED or not one.what:
             continue
-        if one.slide < 0:
-            what, done = text[one.name]
-            findings.add(one.name, what, f"{done} (probability {probable:.3g})")
-            continue
-        times = nodes.time_s[list(nodes.slides[one.slide])]
-        ways = [SLIDES + 2 * one.slide + step for step in (0, 1)]
-        halted = one.slide < len(nodes.halts)
-        what = (
-            f"the rover moves {value(ways[0], 'm')} ahead and {value(ways[1], 'm')} to the left between {times[0]:.6g} "
-            f"and {times[1]:.6g} s "
-            + ("while its wheels stand: it slid" if halted else "beside what its wheels roll: it slipped suddenly")
-            + ", or positions are of another frame from then on"
-        )
-        done = "the motion holds it, and slips are found on either side"
-        findings.add(one.name, what, done, time_s=float(times[0]), doubt=not halted and _too_far(smoothed, nodes, one))
+        values: list[object] = [f"{one.factor * mean[k]:.3g} +- {one.factor * sigma[k]:.2g}" for k in one.members]
+        doubt, time_s = False, None
+        if late:
+            values = [f"{abs(lag.lag_s):.3g} +- {lag.sigma_s:.2g} s {'later' if lag.lag_s > 0 else 'earlier'}"]
+        elif one.members == (SCALE,):
+            values = [f"{math.exp(mean[SCALE]):.3f} +- {sigma[SCALE]:.3f}"]
+        elif one.slide >= 0:
+            first, last = nodes.slides[one.slide]
+            halted, time_s = one.slide < len(nodes.halts), float(nodes.time_s[first])
+            how = "while its wheels stand: it slid" if halted else "beside what its wheels roll: it slipped suddenly"
+            values += [time_s, nodes.time_s[last], how]
+            # Farther than its wheels roll no slip makes it go.
+            moved = float(np.hypot(*(smoothed.state[last, :2] - smoothed.state[first, :2])))
+            farther = moved - float(nodes.way_m[first:last].sum())
+            doubt = not halted and farther > SURE * math.hypot(*sigma[list(one.members)])
+        done = one.done.format(f"{lag.lag_s:.2f}") + (f" (probability {probable:.3g})" if one.slide < 0 else "")
+        findings.add(one.name, one.what.format(*values), done, time_s=time_s, doubt=doubt)
 
 
-def _too_far(smoothed: Smoothed, nodes: Nodes, one: Hypothesis) -> bool:
-    """Whether the rover goes farther on the way of a shift than its wheels roll, which no slip makes of it."""
-    first, last = nodes.slides[one.slide]
-    moved = float(np.hypot(*(smoothed.state[last, :2] - smoothed.state[first, :2])))
-    ways = list(one.members)
-    sigma = math.sqrt(np.diag(smoothed.posterior.covariance)[ways].sum())
-    return moved - float(nodes.way_m[first:last].sum()) > SURE * sigma
-
-
-def _left_out(smoothed: Smoothed, nodes: Nodes) -> BoolArray:
+def _outliers(smoothed: Smoothed, nodes: Nodes) -> BoolArray:
     return np.asarray(nodes.fixed & (smoothed.fix_weight < HARDLY * smoothed.fix_weight[nodes.fixed].max()))
 
 
 def shifted(smoothed: Smoothed, nodes: Nodes) -> Nodes:
     """Nodes whose positions may shift just before or behind those that hardly count."""
-    fixes, out = np.flatnonzero(nodes.fixed), _left_out(smoothed, nodes)[nodes.fixed]
+    fixes, out = np.flatnonzero(nodes.fixed), _outliers(smoothed, nodes)[nodes.fixed]
     # A shift beside the first or the last position is that position's own.
     inner = list(zip(pairwise(fixes), out[1:] | out[:-1], strict=True))[1:-1]
     ways = [pair for pair, odd in inner if odd]
     moved = (nodes.way_m[first:last].any() for first, last in ways)
     jumps = tuple((int(a), int(b)) for (a, b), rolls in zip(ways, moved, strict=True) if rolls)
-    return replace(nodes, jumps=jumps[:MOST_JUMPS])
+    return replace(nodes, jumps=jumps[:MOST_PARTS])
 
 
 def left_out_of(smoothed: Smoothed, nodes: Nodes) -> FloatArray:
     """Positions that hardly count: time, x, y. (o, 3) [s, m, m]"""
-    rows = _left_out(smoothed, nodes)
+    rows = _outliers(smoothed, nodes)
     return np.column_stack([nodes.time_s[rows], nodes.fix_m[rows]])
 
 
-def say_left_out(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
+def report_outliers(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
     """Say positions and headings that hardly count, and errors that nobody can believe."""
     given = np.isfinite(nodes.yaw_rad)
     odd = given & (smoothed.yaw_weight < HARDLY)
@@ -367,15 +319,10 @@ def say_left_out(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
     what = f"{odd.sum()} of {given.sum()} headings fit no motion of the wheels"
     findings.of_rows("odd heading", what, "they hardly count", odd, nodes.time_s, doubt=many)
     sigma = float(np.median(np.sqrt(np.trace(nodes.fix_covariance_m2[nodes.fixed], axis1=1, axis2=2) / 2.0)))
-    if sigma < FINEST_M:
+    if sigma < 0.5 * FINEST_M:
         what = f"positions claim errors of {1e3 * sigma:.2g} mm, which no localisation of a rover reaches"
         findings.add("errors too small", what, "kept; are they in another unit?", doubt=True)
-    # What all positions are off by does not make them scatter: of errors that they share a small scatter is none.
-    scatter = float(np.nanmedian(smoothed.squared_distance)) / MEDIAN_OF_TWO
-    if scatter < LEAST_SCATTER and sigma >= FINEST_M and nodes.chain is None and nodes.fixed.sum() > 5:
-        what = f"positions scatter {scatter:.2g} times as much as their errors of {sigma:.3g} m say"
-        findings.add("errors too large", what, "kept; are they in another unit?")
-    left, fixes = np.flatnonzero(_left_out(smoothed, nodes)), np.flatnonzero(nodes.fixed)
+    left, fixes = np.flatnonzero(_outliers(smoothed, nodes)), np.flatnonzero(nodes.fixed)
     if not left.size:
         return
     what, done = f"{len(left)} of {len(fixes)} positions fit no motion of the wheels", "they hardly count"
@@ -401,10 +348,6 @@ def counted_positions(
         shared = sent.fix_shared_m2[rows][used] * after_used[:, None, None]
     place, covariance = sent.fix_m[rows] - added, sent.fix_covariance_m2[rows]
     return Positions(nodes.time_s[used], place[used], covariance[used], shared)
-
-
-MOST_LAGS = 3
-"""Times that a lag is put back and looked for again."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -470,11 +413,11 @@ def states_of(
 
     Raises DataError for telemetry that cannot be used, or that is not in the frame or the units it should be.
     """
-    sent, schedule = _turned(in_units(ordered(telemetry, findings), rover, findings), rover, findings), None
+    sent, schedule = _wheel_turns(in_units(ordered(telemetry, findings), rover, findings), rover, findings), None
     as_planned, longer_s, pace = False, 0.0, None
     if plan is not None:
         schedule = make_schedule(plan, rover)
-        sent, as_planned, longer_s = by_the_plan(sent, rover, schedule, findings)
+        sent, as_planned, longer_s = aligned_with_plan(sent, rover, schedule, findings)
     twist, way = _way(rover, sent, schedule)
     telemetry = sent.telemetry
     turned = np.degrees(np.append(0.0, np.cumsum(twist[:, 2] * np.diff(telemetry.time_s))))
@@ -484,7 +427,7 @@ def states_of(
     if meant is not telemetry:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", LunarSciWarning)
-            sent = _turned(meant, rover, Findings(meant.file))
+            sent = _wheel_turns(meant, rover, Findings(meant.file))
     sent = sent._replace(telemetry=meant)
     if plan is not None and schedule is not None:
         check_ends(meant, schedule, longer_s, findings)
@@ -492,7 +435,7 @@ def states_of(
     return dataclasses.replace(_along_the_ground(sent, rover, terrain, schedule, lag_s, findings), pace=pace)
 
 
-def _turned(telemetry: Telemetry, rover: Rover, findings: Findings) -> Rows:
+def _wheel_turns(telemetry: Telemetry, rover: Rover, findings: Findings) -> Rows:
     """How the wheels turned and were steered."""
     gaps = time_gaps(telemetry, findings)
     wheels = wheel_motion(telemetry, rover, gaps, findings)
@@ -514,33 +457,33 @@ def _along_the_ground(
     """Find the motion, and how wheels that carry the rover along it over the ground slip; `findings` takes doubts."""
     times = sent.telemetry.time_s
     between = np.column_stack([times[:-1][sent.gaps], times[1:][sent.gaps]])
-    begun = _first_motion(sent, rover, schedule, lag_s)
-    if far_s := lag_of_turns(begun.nodes):
+    first_motion = _first_motion(sent, rover, schedule, lag_s)
+    if far_s := lag_of_turns(first_motion.nodes, 10.0 * LATE.sigma):
         # Of two lags, none and the one that turns tell, the more probable one is taken, by what both can use.
-        common = within(sent, far_s)
+        common = overlapping(sent, far_s)
         late, none = (_first_motion(common, rover, schedule, lag_s + one) for one in (far_s, 0.0))
         gain = late.smoothed.posterior.ln_likelihood - none.smoothed.posterior.ln_likelihood
-        if gain > 0.5 * (far_s / LATE_S) ** 2:
-            begun = _first_motion(sent, rover, schedule, lag_s + far_s)
+        if gain > 0.5 * (far_s / LATE.sigma) ** 2:
+            first_motion = _first_motion(sent, rover, schedule, lag_s + far_s)
     for _ in range(MOST_LAGS):
-        if abs(left := float(begun.smoothed.posterior.mean[LAG])) < LINEAR_S:
+        if abs(left := float(first_motion.smoothed.posterior.mean[LAG])) < LINEAR_S:
             break
-        begun = _first_motion(sent, rover, schedule, begun.lag_s + left)
-    bare, rows, first, priors = begun.nodes, begun.rows, begun.smoothed, begun.priors
-    dense, wheels, steering, gaps = begun.sent
+        first_motion = _first_motion(sent, rover, schedule, first_motion.lag_s + left)
+    bare, rows, first, priors = first_motion.nodes, first_motion.rows, first_motion.smoothed, first_motion.priors
+    dense, wheels, steering, gaps = first_motion.sent
     if (tried := shifted(first, bare)).jumps:
         bare, priors = tried, _priors_of(tried, rover, wheels)
         first = smooth(bare, SlipProcess.coarse(), priors, first.reference.widened(bare))
     motion = motion_at(rover, dense, bare, first, wheels, steering, rows, np.zeros((1, 2)))
     stood = prescribed_loads(rover, terrain, motion)
     sway = sway_m(rover, stood.paths)
-    nodes = on_ground(rover, bare, stood, sway, priors, first.reference)
+    nodes = with_ground_effects(rover, bare, stood, sway, priors, first.reference)
     smoothed = smooth(nodes, None, priors, first.reference)
     motion = motion_at(rover, dense, nodes, smoothed, wheels, steering, rows, sway)
     held = prescribed_loads(rover, terrain, motion)
-    lag = Lag.of(smoothed.posterior, priors, begun.lag_s - lag_s)
-    say_constants(smoothed, nodes, priors, lag, findings)
-    say_left_out(smoothed, nodes, findings)
+    lag = Lag.of(smoothed.posterior, priors, first_motion.lag_s - lag_s)
+    report_hypotheses(smoothed, nodes, priors, lag, findings)
+    report_outliers(smoothed, nodes, findings)
     check_attitude(dense, held, rows, findings)
     left_out = left_out_of(smoothed, bare)
     return DriveStates(
@@ -571,7 +514,7 @@ class _FirstMotion(NamedTuple):
 
 
 def _first_motion(sent: Rows, rover: Rover, schedule: Schedule | None, lag_s: float) -> _FirstMotion:
-    sent = denser(put_back(sent, lag_s))
+    sent = densified(shifted_back(sent, lag_s))
     twist, way = _way(rover, sent, schedule)
     nodes, rows = nodes_of(sent, twist, way)
     nodes = dataclasses.replace(nodes, effect=turn_effect(nodes))
@@ -594,10 +537,6 @@ def _way(rover: Rover, sent: Rows, schedule: Schedule | None) -> tuple[FloatArra
     twist, _ = body_twist(rover, rims, 0.5 * (steering[1:] + steering[:-1]))
     way = np.append(0.0, np.cumsum(mean_speed(rims) * np.diff(times)))
     return twist, way
-
-
-BASIS = "positions"
-"""What slip and side slip rest on: the positions of `position_table`."""
 
 
 def wheel_table(drive: DriveStates) -> "pd.DataFrame":

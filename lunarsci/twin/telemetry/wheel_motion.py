@@ -12,7 +12,6 @@ forces where slips are small, and inertia is none.
 """
 
 import itertools
-import math
 import warnings
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -24,23 +23,30 @@ from lunarsci.errors import DataError
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 from lunarsci.twin.simulation.prescribed_motion import PrescribedLoads
-from lunarsci.twin.telemetry.reading import OBEYED, STILL, SURE, TURNED_DEG, Findings, Telemetry, digit_of, held
+from lunarsci.twin.telemetry.filter import onto_map
+from lunarsci.twin.telemetry.hypotheses import CLOCK_S, LN_ODDS, repeated, resolution_of
+from lunarsci.twin.telemetry.reading import (
+    OBEYED,
+    RATE_SHARE,
+    SIGMA_DEG,
+    STILL,
+    SURE,
+    TURNED_DEG,
+    UNDER_WAY,
+    Findings,
+    Telemetry,
+    between,
+)
 
-SIGMA_DEG, RATE_SHARE = 1.0, 0.1
-"""Standard errors of turns between rows, of all [deg] and of rates as a share; assumed. Of commands it is `OBEYED`."""
-STAMP_S = 0.5
-"""By how much rows may be stamped off; assumed. [s]"""
-LN_NOTHING = {"angle": math.log(0.01), "rate": math.log(0.005), "command": math.log(0.02)}
-"""Odds beforehand, of a step, that a witness says nothing of it; assumed."""
-LN_WRAP, LN_CLOCK = math.log(0.02), math.log(1e-4)
-"""Odds beforehand, of a step, that an encoder begins anew after whole turns, and that the clock jumps; assumed."""
-ON_THE_SPOT = 0.1
-"""Speed of the rover as a share of that of its rims below which it turns on the spot; assumed."""
-UNDER_WAY = 0.3
-"""Share of the highest speed from which a wheel counts as under way; assumed."""
 PACE = 0.02
 """Share by which a wheel may turn faster or slower than the plan or the others say, unsaid: it is a slip of as much;
 assumed."""
+BLOCK_M = 0.5
+"""Way over which rims are averaged, as the last digits of encoders count less in it. Half or twice as much moves slips
+by 0.05 of their errors at most, as measured. [m]"""
+LEAST_LOAD = 0.05
+"""Share of the mean load below which a wheel is not taken to be. Half or twice as much moves slips by 0.001 of their
+errors at most, as measured."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -82,10 +88,10 @@ def wheel_motion(telemetry: Telemetry, rover: Rover, gaps: BoolArray, findings: 
     # An encoder that hangs beside what its rate, else its command, says.
     since_start = np.cumsum(np.nan_to_num(np.where(np.isfinite(rate), rate, command)), axis=0)
     expected = np.vstack([np.zeros_like(since_start[:1]), since_start])
-    last = np.array([digit_of(column) for column in telemetry.angle_deg.T])
+    last = np.array([resolution_of(column) for column in telemetry.angle_deg.T])
     digits = np.hypot(SIGMA_DEG, 0.5 * np.where(np.isfinite(last), last, 0.0))
     hung = np.column_stack(
-        [held(one, 1.0, *beside) for one, *beside in zip(telemetry.angle_deg.T, expected.T, digits, strict=True)]
+        [repeated(one, 1.0, *beside) for one, *beside in zip(telemetry.angle_deg.T, expected.T, digits, strict=True)]
     )
     # The step at which an encoder that hung moves on holds all it missed.
     angle[hung[1:] | hung[:-1]] = np.nan
@@ -94,9 +100,9 @@ def wheel_motion(telemetry: Telemetry, rover: Rover, gaps: BoolArray, findings: 
         turn[resting] *= 0.0
     turns = {"command": command, "rate": rate, "angle": angle}
     rates = {"command": telemetry.speed_m_s / per_deg, "rate": telemetry.rate_deg_s}
-    went = _turns(turns, _sigma(turns, rates, digits, steps), rover.max_speed_m_s / per_deg * (steps + STAMP_S), gaps)
+    went = _turns(turns, _sigma(turns, rates, digits, steps), rover.max_speed_m_s / per_deg * (steps + CLOCK_S), gaps)
     measured = np.where(went.counts, angle - 360.0 * went.wraps, np.where(went.tells, rate, np.nan)) / steps
-    _say(telemetry, rover, went, hung[1:], ~np.isfinite(measured), findings)
+    _report(telemetry, rover, went, hung[1:], ~np.isfinite(measured), findings)
     rim, given = per_deg * np.where(np.isfinite(measured), measured, command / steps), np.isfinite(measured)
     fast = np.abs(rim[np.isfinite(rim)])
     usual = float(np.median(fast[fast > STILL * fast.max()])) if fast.size and fast.max() > 0 else 0.0
@@ -115,13 +121,6 @@ def wheel_motion(telemetry: Telemetry, rover: Rover, gaps: BoolArray, findings: 
         usual_m_s=usual,
         obedience=_obedience(measured, command / steps),
     )
-
-
-def between(values: FloatArray) -> FloatArray:
-    """Mean of successive rows, of one where only that one is known. (n - 1, wheels)"""
-    before, after = values[:-1], values[1:]
-    both = 0.5 * (before + after)
-    return np.where(np.isfinite(both), both, np.where(np.isfinite(before), before, after))
 
 
 def resting_steps(telemetry: Telemetry) -> BoolArray:
@@ -168,14 +167,14 @@ def _turns(
     """The most probable set of witnesses, of turns that commands, rates and encoders say. (n - 1, wheels) [deg]"""
     command, rate, angle = turns.values()
     given = np.isfinite(rate)
-    likeliest = _likeliest(turns, sigma, fastest_deg, np.full(angle.shape[1], LN_WRAP))
+    likeliest = _likeliest(turns, sigma, fastest_deg, np.full(angle.shape[1], LN_ODDS["reading"]))
     # An encoder that wraps does so often; how many whole turns a gap hides nobody knows.
     wraps = (likeliest.wraps != 0).mean(axis=0)
     angle = np.where(gaps[:, None] & (wraps > 0), np.nan, angle)
     expected = np.where(given, rate, command)
     clock = _clock(angle, expected, np.hypot(sigma["angle"], np.where(given, sigma["rate"], sigma["command"])))
     turns = {"command": clock[:, None] * command, "rate": clock[:, None] * rate, "angle": angle}
-    likeliest = _likeliest(turns, sigma, fastest_deg, np.log(np.maximum(wraps, math.exp(LN_WRAP))))
+    likeliest = _likeliest(turns, sigma, fastest_deg, np.maximum(np.log(np.maximum(wraps, 1e-300)), LN_ODDS["reading"]))
     return likeliest._replace(clock=clock, off_deg=angle - np.nan_to_num(clock[:, None] * expected))
 
 
@@ -199,7 +198,7 @@ def _likeliest(
         for (name, turn), true in zip(turns.items(), taken, strict=True):
             given, value = np.isfinite(turn), np.nan_to_num(turn)
             if not true:
-                ln += np.where(given, LN_NOTHING[name], 0.0)
+                ln += np.where(given, LN_ODDS["reading"], 0.0)
                 continue
             variance, off = sigma[name] ** 2 + 1.0 / precision, value - mean
             agree = _ln_agree(off, variance, widest)
@@ -226,15 +225,15 @@ def _clock(angle: FloatArray, expected: FloatArray, sigma: FloatArray) -> FloatA
         ratio = np.nan_to_num(np.nanmedian(np.where(turning, share, np.nan), axis=1), nan=1.0)
 
     def ln_of(off_deg: FloatArray) -> FloatArray:
-        ln = np.logaddexp(_ln_agree(off_deg, sigma**2), LN_NOTHING["angle"])
+        ln = np.logaddexp(_ln_agree(off_deg, sigma**2), LN_ODDS["reading"])
         return np.asarray(np.where(turning, ln, 0.0).sum(axis=1))
 
     gain = ln_of(np.nan_to_num(angle - ratio[:, None] * expected)) - ln_of(np.nan_to_num(angle - expected))
     most = turning.mean(axis=1) > 0.5
-    return np.where(most & (gain + LN_CLOCK > 0) & (ratio >= 0), ratio, 1.0)
+    return np.where(most & (gain + LN_ODDS["clock step"] > 0) & (ratio >= 0), ratio, 1.0)
 
 
-def _say(
+def _report(
     telemetry: Telemetry, rover: Rover, went: _Turns, hung: BoolArray, lost: BoolArray, findings: Findings
 ) -> None:
     """Say what does not tell the turn of a wheel, or tells it otherwise."""
@@ -348,16 +347,6 @@ def fitted_twist(
     return np.asarray(np.linalg.solve(normal, np.einsum("nk,nki,nk->ni", weights, rows, right)[..., None])[..., 0])
 
 
-DISAGREE = 0.03
-"""Median share of the usual rim speed by which wheels may differ from one motion; assumed."""
-MOST_SCALE, TURNED_RAD = 1.5, 0.1
-"""Farthest that an encoder's scale is off, as by another wheel or gear; change of steering beyond which steps are of
-two motions; assumed."""
-BLOCK_M = 0.5
-"""Way over which rims are averaged, as the last digits of encoders count less in it. Half or twice as much moves slips
-by 0.05 of their errors at most, as measured. [m]"""
-
-
 def of_one_motion(
     wheels: WheelMotion, rover: Rover, steering_rad: FloatArray, step_s: FloatArray, findings: Findings
 ) -> WheelMotion:
@@ -373,10 +362,9 @@ def of_one_motion(
     given = np.isfinite(wheels.rim_m_s).all(axis=1) & wheels.moving
     if not given.any() or not rover.steered_mask.any():
         return wheels
-    # Steps without a halt between, or a change of steering as before a turn, that make a block.
+    # Steps without a halt between that make a block.
     way = np.cumsum(np.where(given, mean_speed(wheels.rim_m_s) * step_s, 0.0)) // BLOCK_M
-    turned = np.append(False, (np.abs(np.diff(steering_rad, axis=0)) > TURNED_RAD).any(axis=1))
-    block = np.cumsum(np.append(True, (np.diff(way) > 0) | ~given[:-1]) | turned)[given]
+    block = np.cumsum(np.append(True, (np.diff(way) > 0) | ~given[:-1]))[given]
     begins, weight = np.flatnonzero(np.append(True, np.diff(block) > 0)), step_s[given, None]
 
     def means(values: FloatArray) -> FloatArray:
@@ -394,11 +382,11 @@ def of_one_motion(
     turning = np.abs(expected) > UNDER_WAY * np.abs(expected).max()
     scale, trusted = float(np.median(rims[turning, k] / expected[turning])), wheels.trusted.copy()
     # A wheel that stands, or turns otherwise altogether, is no encoder that counts in another scale.
-    counts = 1.0 / MOST_SCALE < scale < MOST_SCALE
+    counts = UNDER_WAY < scale < 1.0 / UNDER_WAY
     mended = np.where(np.arange(len(rover.wheels)) == k, scale if counts else np.nan, 1.0)
     trusted[:, k] &= counts
     off_m_s = float(np.median(body_twist(rover, rims / mended, steering)[1])) / wheels.usual_m_s
-    if off_m_s > DISAGREE:
+    if off_m_s > PACE:
         what = f"rims and steering of the wheels differ by {100 * off_m_s:.2g} % from any one motion"
         done = "their best fit is taken; are the wheels named as they should be?"
         findings.add("wheels disagree", what, done, doubt=True)
@@ -408,10 +396,6 @@ def of_one_motion(
         done = "its angles and rates are taken to be in that scale" if trusted[:, k].any() else "it is left out"
         findings.add("encoder scale", what, done)
     return replace(wheels, rim_m_s=wheels.rim_m_s / mended, trusted=trusted)
-
-
-LEAST_LOAD = 0.05
-"""Share of the mean load below which a wheel is not taken to be; assumed."""
 
 
 def shape_effect(rover: Rover, held: PrescribedLoads, over_m: FloatArray, stiffness: float) -> FloatArray:
@@ -477,3 +461,17 @@ def _seen_velocities(held: PrescribedLoads) -> tuple[FloatArray, FloatArray]:
     travel = np.where(slip >= 0, 1.0 - slip, 1.0 / (1.0 + np.minimum(slip, 0.0)))
     v_x = travel * speed
     return v_x, np.sign(speed) * np.tan(np.radians(side)) * np.abs(v_x)
+
+
+def sway_m(rover: Rover, paths: FloatArray) -> FloatArray:
+    """How far the rover's origin is from above the point that its wheels stand about, by roll and pitch. (n, 2) [m]
+
+    The wheels carry that point; the origin sways above it, which is no slip. Where how the rover stands is not known,
+    as beside a halt, it stands as about there: a tilt left out would be a jump, and read as a slip.
+    """
+    height = rover.wheel.radius_m - float(rover.wheel_positions_m[:, 2].mean())
+    given = np.flatnonzero(np.isfinite(paths[:, 3:5]).all(axis=1))
+    tilts = paths[given, 3:5] if given.size else np.zeros((1, 2))
+    roll, pitch = np.radians([np.interp(np.arange(len(paths)), given if given.size else [0], c) for c in tilts.T])
+    yaw = np.radians(np.nan_to_num(paths[:, 5]))
+    return height * onto_map(yaw, np.sin(pitch) * np.cos(roll), -np.sin(roll))

@@ -104,7 +104,7 @@ def test_what_is_wrong_with_a_run_is_said(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="no time in common"):
         read_public_drive(folder)
     (folder / "global-pose-utm.txt").unlink()
-    with pytest.raises(DataError, match=r"no global-pose-utm\.txt"):
+    with pytest.raises(DataError, match=r"global-pose-utm\.txt"):
         read_public_drive(folder)
     trial = write_captured(tmp_path / "Trial_1", made_drive(**SHORT, **ROSEY))
     (trial / "Processed_Data.csv").write_text("time_s,pos_x\n0,0\n")

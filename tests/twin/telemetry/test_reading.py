@@ -18,9 +18,9 @@ from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import predict
 from lunarsci.twin.telemetry import nodes, reading
 from lunarsci.twin.telemetry.reading import Findings, Telemetry, read_telemetry
-from lunarsci.twin.telemetry.readings import sway_m
 from lunarsci.twin.telemetry.simulated import SensorErrors, simulate_telemetry
 from lunarsci.twin.telemetry.states import DriveStates, motion_table, states_of, wheel_table
+from lunarsci.twin.telemetry.wheel_motion import sway_m
 
 GROUND = synthetic_longji()
 PLAN = Plan(name="two", legs=(Leg(2.0, 0.15), Leg(stop_s=20.0), Leg(2.0, -0.13)), speed_m_s=0.05)

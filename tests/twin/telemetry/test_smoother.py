@@ -44,8 +44,8 @@ def straight(seed: int, yaw_sigma_rad: float = 0.002) -> Nodes:
         time_s=2.0 * np.arange(COUNT),
         twist=np.tile([0.05, 0.0, 0.0], (COUNT - 1, 1)),
         way_m=np.full(COUNT - 1, WAY_M),
-        loose=np.zeros(COUNT - 1),
-        apart=np.zeros(COUNT - 1, dtype=bool),
+        gap_sigma_m=np.zeros(COUNT - 1),
+        restarts=np.zeros(COUNT - 1, dtype=bool),
         fix_m=fix,
         fix_covariance_m2=np.tile(ERRORS_M2, (COUNT, 1, 1)),
         yaw_rad=yaw,
@@ -62,18 +62,20 @@ def without(values: np.ndarray, k: int) -> np.ndarray:
 def test_distances_are_those_from_where_the_motion_is_without_the_measurement() -> None:
     nodes = straight(0)
     found = smooth(nodes, CHANGE)
-    assert np.array_equal(np.isfinite(found.squared_distance), np.isfinite(nodes.fix_m[:, 0]))
-    assert np.array_equal(np.isfinite(found.yaw_squared_distance), np.isfinite(nodes.yaw_rad))
+    residuals = smoother._residuals(nodes, found.reference, found.state, found.covariance)
+    places, headings = smoother._distances(nodes, found.reference, *residuals)
+    assert np.array_equal(np.isfinite(places), np.isfinite(nodes.fix_m[:, 0]))
+    assert np.array_equal(np.isfinite(headings), np.isfinite(nodes.yaw_rad))
     for k in (0, 5, 8, 20):
         other = smooth(replace(nodes, fix_m=without(nodes.fix_m, k)), CHANGE)
         off = nodes.fix_m[k] - other.state[k, :2]
         spread = ERRORS_M2 + other.covariance[k, :2, :2]
-        assert found.squared_distance[k] == pytest.approx(off @ np.linalg.solve(spread, off), rel=1e-3)
+        assert places[k] == pytest.approx(off @ np.linalg.solve(spread, off), rel=1e-3)
     for k in (0, 5, 11, 20):
         other = smooth(replace(nodes, yaw_rad=without(nodes.yaw_rad, k)), CHANGE)
         spread_rad2 = nodes.yaw_sigma_rad[k] ** 2 + other.covariance[k, 2, 2]
         expected = (nodes.yaw_rad[k] - other.state[k, 2]) ** 2 / spread_rad2
-        assert found.yaw_squared_distance[k] == pytest.approx(expected, rel=1e-3, abs=1e-6)
+        assert headings[k] == pytest.approx(expected, rel=1e-3, abs=1e-6)
 
 
 def test_reduced_chi_square_is_that_of_the_generalised_least_squares() -> None:
@@ -190,8 +192,8 @@ def traverse_of(deviation: np.ndarray, sigma_m: float, every: int, seed: int = 0
         time_s=2.0 * np.arange(count),
         twist=np.tile([0.05, 0.0, 0.0], (count - 1, 1)),
         way_m=np.full(count - 1, way),
-        loose=np.zeros(count - 1),
-        apart=np.zeros(count - 1, dtype=bool),
+        gap_sigma_m=np.zeros(count - 1),
+        restarts=np.zeros(count - 1, dtype=bool),
         fix_m=fix,
         fix_covariance_m2=np.tile(sigma_m**2 * np.eye(2), (count, 1, 1)),
         yaw_rad=np.radians(0.1) * random.normal(size=count),
