@@ -53,10 +53,11 @@ TRANSFORMS = {
 DETERMINED = 0.5
 """A parameter counts as determined where its standard deviation is below this share of the prior's; assumed."""
 SIGNIFICANCE = 1e-3
-"""Chance below which a scatter, a residual or a trend counts as none; assumed, one for all tests of wheel states."""
+"""Level of every test of wheel states, the strictest of Fisher & Yates (1938), Statistical Tables for Biological,
+Agricultural and Medical Research."""
 STRANGE, NINETY_FIVE = 3.290527, 1.959964
-"""Widths of the prior beyond which no parameter lies, of a normal law to either side by a chance of `SIGNIFICANCE`, and
-half of those that hold 95 %. [standard deviations]"""
+"""Beyond the first a normal law lies, to either side, by a chance of `SIGNIFICANCE`; the second is half of what holds
+95 %. [standard deviations]"""
 FIXED_SD = 1e-6
 """Stands for a parameter that is known."""
 
@@ -118,8 +119,10 @@ class Law:
         return np.degrees(np.arctan(np.exp(transform))) if self.of == "ln tan" else np.asarray(transform)
 
 
-LOAD_PRESSURE_PA = Law("ln", 3000.0, 0.9, "1.6 kPa of Yutu-2, some 6 kPa of the Mars Exploration Rovers; width assumed")
-"""Load of a wheel over its radius times its width; assumed."""
+LOAD_PRESSURE_PA = Law("ln", 3000.0, 0.9, "3 kPa of the Lunar Roving Vehicle; 68 % span 1.2 to 7.4 kPa")
+"""Load of a wheel over its radius times its width: 1.6 kPa of Yutu-2, 3.0 of the Lunar Roving Vehicle (Costes, Farmer &
+George 1972, NASA TR R-401), 5.5 of the Mars Exploration Rovers (Lindemann & Voorhees 2005, 10.1109/ICSMC.2005.1571187).
+"""
 
 
 @cache
@@ -192,11 +195,14 @@ def values_of(
 
 
 SLIPS = 0.01
-"""Odds of another unit, or of a digit too many or too few, before a number is looked at; assumed."""
+"""Odds of another unit, or of a digit too many or too few, before a number is looked at. A tenth of it moves where a
+number is asked about by 0.3 standard deviations of its law where units differ by 1000, by 0.9 where by 10;
+`--as-written` asks nothing."""
 AS_WRITTEN = "--as-written"
 """The option that takes all numbers as they are."""
 DECADES = 6.0
-"""Over which a slip of any size is taken to be even, in the logarithm; assumed."""
+"""Over which a slip of any size is even in the logarithm, as units of one quantity are. Twice as many move where a
+number that no unit explains is asked about by 0.2 standard deviations of its law; `--as-written` asks nothing."""
 
 
 @dataclass(frozen=True, slots=True)
