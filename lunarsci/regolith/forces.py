@@ -42,8 +42,8 @@ from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.wheel import SHEAR_SIGNS, ShearSign, Wheel
 
 MOST_COHESION = 1.0
-"""Share of the normal force that cohesion alone may pull; beyond, forces are those of a wheel hardly in touch. Assumed:
-wheels that were compared with the model pull less than their load."""
+"""Share of the normal force that cohesion alone may pull; beyond, forces are those of a wheel hardly in touch. Measured:
+wheels that were compared with the model pull up to 0.44 of their load (`tests/benchmarks/wheels.py`)."""
 LEAST_SINKAGE_M = 1e-7
 """Below this the contact angles round to nothing."""
 

@@ -195,14 +195,14 @@ def values_of(
 
 
 SLIPS = 0.01
-"""Odds of another unit, or of a digit too many or too few, before a number is looked at. A tenth of it moves where a
-number is asked about by 0.3 standard deviations of its law where units differ by 1000, by 0.9 where by 10;
+"""Odds of another unit, or of a digit too many or too few, before a number is looked at; assumed. A tenth of it moves
+where a number is asked about by 0.3 standard deviations of its law where units differ by 1000, by 0.9 where by 10;
 `--as-written` asks nothing."""
 AS_WRITTEN = "--as-written"
 """The option that takes all numbers as they are."""
 DECADES = 6.0
-"""Over which a slip of any size is even in the logarithm, as units of one quantity are. Twice as many move where a
-number that no unit explains is asked about by 0.2 standard deviations of its law; `--as-written` asks nothing."""
+"""From milli to kilo, over which a slip of any size is even in the logarithm. Twice as many move where a number that no
+unit explains is asked about by 0.2 standard deviations of its law."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,8 @@ DESIGN_SLIP = 0.2
 """Slip at which wheels are compared, first of the Lunar Roving Vehicle: Freitag, Green & Melzer (1970), Waterways
 Experiment Station TR M-70-2. [-]"""
 STEEPEST_DEG = 45.0
-"""No slope steeper than this is looked at; no lunar soil stands so. Assumed."""
+"""No slope steeper than this is looked at: lunar ones are hardly steeper than 35 deg (Kreslavsky & Head 2016, Icarus
+273, 329, 10.1016/j.icarus.2016.02.036)."""
 
 
 def sinkage_under_load(
