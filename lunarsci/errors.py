@@ -13,8 +13,9 @@
 Each also inherits the builtin a caller would expect. The message is one line: what, where, and what to do.
 """
 
+import contextlib
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 
 class LunarSciError(Exception):
@@ -113,6 +114,16 @@ class SchedulerError(LunarSciError, RuntimeError):
 
 class LunarSciWarning(UserWarning):
     """A result that stands, with something the reader should know about it."""
+
+
+@contextlib.contextmanager
+def named(where: str, kind: type[LunarSciError] = DataError) -> Iterator[None]:
+    """What values within lack or have wrong, as an error of a `kind` that begins with `where` they are from."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        wrong = f"no {error} in it" if isinstance(error, KeyError) else error
+        raise kind(f"{where}: {wrong}" if where else str(wrong)) from error
 
 
 def warn(message: str) -> None:

@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import ParameterError
 from lunarsci.io.tables import table_hashes, table_rows
-from lunarsci.ranges import check_each
+from lunarsci.ranges import check_each, refuse
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.prior import DETERMINED, PARAMETERS, Law
 from lunarsci.regolith.soil import RANGES
@@ -85,11 +84,9 @@ class Site:
 
     def __post_init__(self) -> None:
         given = [getattr(self, name) is not None for name in self.__slots__]
-        for words, one, other in zip(PAIRED, given[::2], given[1::2], strict=True):
-            if one != other:
-                raise ParameterError(f"{words} go together; give both or none")
-        if not any(given[:4]):
-            raise ParameterError("nothing to compare: give stiffness and exponent, or cohesion and friction angle")
+        halves = zip(PAIRED, given[::2], given[1::2], strict=True)
+        refuse(f"{words} go together; give both or none" for words, one, other in halves if one != other)
+        refuse({"nothing to compare: give stiffness and exponent, or cohesion and friction angle": not any(given[:4])})
         check_each("", self, {name: RANGES[name] for name in SYMBOLS})
 
 

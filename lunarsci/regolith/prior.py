@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import ParameterError, named
 from lunarsci.io.documents import toml_of
 from lunarsci.io.inputs import InputFile, text
 from lunarsci.io.tables import table_hashes
-from lunarsci.names import one_of
-from lunarsci.ranges import FINITE, NOT_NEGATIVE, POSITIVE, check_each
+from lunarsci.names import checked_name, one_of
+from lunarsci.ranges import FINITE, NOT_NEGATIVE, POSITIVE, check_each, refuse
 from lunarsci.regolith.wheel import Wheel
 
 PRIORS = "priors.toml"
@@ -82,8 +82,7 @@ class Law:
     source: str = ""
 
     def __post_init__(self) -> None:
-        if self.of not in TRANSFORMS:
-            raise ParameterError(f"a prior of '{self.of}' is unknown; give one of {', '.join(TRANSFORMS)}")
+        checked_name(self.of, TRANSFORMS, "a transform that a prior is of")
         check_each("a prior's", self, {"median": TRANSFORMS[self.of], "sd": NOT_NEGATIVE})
 
     @property
@@ -175,13 +174,11 @@ def read_prior(source: InputFile, contact: bool = False) -> dict[str, Law]:
     """
     document = toml_of(source.name, text(source))
     laws = {**default_prior(), **(contact_prior() if contact else {})}
-    for name, table in document.items():
-        if name not in laws:
-            raise DataError(f"{source.name}: '{name}' is not a soil parameter; {one_of(name, laws)}")
-        try:
-            laws[name] = Law(**({"of": laws[name].of, "source": source.name} | table))
-        except (TypeError, ParameterError) as error:
-            raise DataError(f"{source.name}: [{name}] {error}") from error
+    with named(source.name):
+        refuse(f"'{name}' is not a soil parameter; {one_of(name, laws)}" for name in document if name not in laws)
+        for name, table in document.items():
+            with named(f"[{name}]", ParameterError):
+                laws[name] = Law(**({"of": laws[name].of, "source": source.name} | table))
     return laws
 
 

@@ -10,7 +10,6 @@ says whether a soil of the model explains the states at all.
 """
 
 import math
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -19,8 +18,8 @@ import numpy as np
 from scipy.special import chdtri, ndtri
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
-from lunarsci.errors import LunarSciWarning, ParameterError
-from lunarsci.ranges import check_each
+from lunarsci.errors import ParameterError, warn
+from lunarsci.ranges import check_each, refuse
 from lunarsci.regolith.belief import CLOSED, CONTACT_ANGLES, FitVerdict, SoilBelief, verdict_line
 from lunarsci.regolith.columns import FORCES
 from lunarsci.regolith.inference.mode import (
@@ -259,8 +258,7 @@ def infer_soil(
     ed., ch. 13 (normal approximation).
     """
     laws = {**(contact_prior() if contact else {}), **(prior or default_prior())}
-    if missing := [name for name in PARAMETERS if name not in laws]:
-        raise ParameterError(f"no prior for {', '.join(missing)}; give every parameter one")
+    refuse(f"no prior for {name}; give every parameter one" for name in PARAMETERS if name not in laws)
     check_each("", {"model_error": model_error, "draws": draws}, RANGES)
     model = ContactModel() if contact and model is None else model
     usable = usable_states(states, wheel)
@@ -321,13 +319,11 @@ def usable_states(states: WheelStates, wheel: Wheel) -> BoolArray:
     inside = (depth > LEAST_SINKAGE_M) & (depth < wheel.radius_m * DEEPEST)
     inside &= ~((states.values[:, 1] == 1) & (np.abs(states.values[:, 2]) == 90))
     usable = np.asarray(measured[:, :2].all(axis=1) & measured[:, 3:].any(axis=1) & inside, dtype=np.bool_)
-    if not usable.any():
-        raise ParameterError("no state has a sinkage, a slip ratio and a force in range; the joint inference needs all")
+    needed = "no state has a sinkage, a slip ratio and a force in range; the joint inference needs all"
+    refuse({needed: not usable.any()})
     if not usable.all():
-        text = (
-            f"{(~usable).sum()} of {len(usable)} states lack a sinkage, slip ratio or force in range and are left out"
-        )
-        warnings.warn(text, LunarSciWarning, stacklevel=3)
+        lost = f"{(~usable).sum()} of {len(usable)}"
+        warn(f"{lost} states lack a sinkage, slip ratio or force in range and are left out")
     return usable
 
 
@@ -409,9 +405,9 @@ def carry_population(
 
 
 CEILINGS = (0.35, 0.15, 0.15)
-"""Share of the load by which the law may miss F_N, F_DP, F_L before no soil of it counts as an explanation; measured: up
-to 0.28 of normal forces and 0.08 of pulls of five wheels (`tests/benchmarks/wheels.py`). A pull that errs by 0.15 is a
-slope of 8.5 deg; a normal force at a measured sinkage errs most, as it goes with a power of it: 0.35 of the load is a
+"""Share of the load by which the law may miss F_N, F_DP, F_L before no soil of it counts as an explanation. Measured:
+up to 0.28 of normal forces and 0.08 of pulls of five wheels (`tests/benchmarks/wheels.py`). A pull that errs by 0.15 is
+a slope of 8.5 deg; a normal force at a measured sinkage errs most, as it goes with a power of it: 0.35 of the load is a
 fifth of the sinkage."""
 REDUCED = (0.5, 2.0)
 """Range of a reduced chi-square that agrees with the errors stated; few forces scatter more widely than that by chance.

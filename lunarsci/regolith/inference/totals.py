@@ -17,13 +17,15 @@ from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.inference.mode import find_mode
-from lunarsci.regolith.inference.problem import TYPICAL, forces_of_many, tempered
+from lunarsci.regolith.inference.problem import forces_of_many, tempered
 from lunarsci.regolith.prior import PARAMETERS, values_of
 from lunarsci.regolith.traction import DEEPEST
 from lunarsci.regolith.wheel import Wheel
 
 STEP = 1e-3
 """Of numerical derivatives by the inputs, in their standard errors."""
+MODEL_ERROR = 0.02
+"""Share of the load by which the model may miss each force; assumed."""
 NEWTON, FIRST_SINKAGE, SHALLOWEST, LEAST_POWER = 8, 0.05, 1e-6, 0.2
 """Steps to the sinkage under a load, where they begin and the least one in radii, and the least power of F_N in it."""
 ROUGH = 5.0
@@ -212,7 +214,7 @@ def _way_in(problem: _Problem, start: FloatArray) -> FloatArray:
 
 
 def infer_from_totals(
-    states: BalancedStates, wheel: Wheel, belief: SoilBelief, *, model_error: float = TYPICAL
+    states: BalancedStates, wheel: Wheel, belief: SoilBelief, *, model_error: float = MODEL_ERROR
 ) -> TotalsPosterior:
     """The soil that all states share, from their loads and the totals alone.
 
