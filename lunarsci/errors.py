@@ -13,9 +13,9 @@
 Each also inherits the builtin a caller would expect. The message is one line: what, where, and what to do.
 """
 
+import contextlib
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 
 
 class LunarSciError(Exception):
@@ -100,16 +100,17 @@ class RequestError(ParameterError):
     """
 
 
-@contextmanager
+@contextlib.contextmanager
 def within_file(name: str, *others: type[Exception]) -> Iterator[None]:
     """What is wrong with values, and errors of some other kinds, as a DataError that begins with the file's name."""
+    kinds: tuple[type[Exception], ...] = (ParameterError, *others)
     try:
         yield
-    except (ParameterError, *others) as error:
+    except kinds as error:
         raise DataError(f"{name}: {error}") from error
 
 
-@contextmanager
+@contextlib.contextmanager
 def within_option(name: str) -> Iterator[None]:
     """What is wrong with a value as a RequestError that begins with the option's name."""
     try:
@@ -134,6 +135,16 @@ class SchedulerError(LunarSciError, RuntimeError):
 
 class LunarSciWarning(UserWarning):
     """A result that stands, with something the reader should know about it."""
+
+
+@contextlib.contextmanager
+def named(where: str, kind: type[LunarSciError] = DataError) -> Iterator[None]:
+    """What values within lack or have wrong, as an error of a `kind` that begins with `where` they are from."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        wrong = f"no {error} in it" if isinstance(error, KeyError) else error
+        raise kind(f"{where}: {wrong}" if where else str(wrong)) from error
 
 
 def warn(message: str) -> None:

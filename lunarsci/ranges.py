@@ -65,7 +65,10 @@ def check_ranges(given: object, names: Mapping[str, str], what: str = "") -> Non
     check_each(what, given, {name: interval for interval, several in names.items() for name in several.split()})
 
 
-def refuse(reasons: Iterable[str], where: str = "", kind: type[LunarSciError] = ParameterError) -> None:
-    """Raises an error with the first of some reasons, if there is any."""
+def refuse(
+    reasons: Iterable[str] | Mapping[str, bool], where: str = "", kind: type[LunarSciError] = ParameterError
+) -> None:
+    """Raises an error with the first of some reasons, if there is any; of a mapping, the first that holds."""
     for reason in reasons:
-        raise kind(f"{where}: {reason}" if where else reason)
+        if not isinstance(reasons, Mapping) or reasons[reason]:
+            raise kind(f"{where}: {reason}" if where else reason)

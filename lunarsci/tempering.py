@@ -25,8 +25,6 @@ WALK, ACCEPTED = 2.38, 0.25
 """Width of a random walk in a normal law, in standard deviations over the root of its dimension, and the share of its
 steps that is then accepted: 0.23 to 0.44 (Roberts, Gelman & Gilks 1997, Ann. Appl. Probab. 7, 110,
 10.1214/aoap/1034625254)."""
-CROWDED = 1e-3
-"""Share of what is left of beta that a step takes where fewer points than wanted are possible; assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,11 +86,13 @@ def effective_number(weight: FloatArray) -> float:
 def largest_power(ln_density: FloatArray, wanted: float, most: float = 1.0) -> float:
     """The largest power of a density, up to `most`, that leaves so many effective points. [-]
 
-    `ln_density` (n,) is -inf where a point is impossible; where fewer than wanted are possible, `CROWDED * most`.
+    `ln_density` (n,) is -inf where a point is impossible; of the possible ones at most half are wanted.
     """
     from scipy.optimize import brentq
 
-    off = np.where(np.isfinite(ln_density), ln_density - ln_density.max(), -np.inf)
+    possible = np.isfinite(ln_density)
+    off = np.where(possible, ln_density - ln_density.max(), -np.inf)
+    wanted = wanted if wanted < possible.sum() else EFFECTIVE_LEFT * float(possible.sum())
 
     def excess(ln_power: float) -> float:
         return effective_number(weights(np.exp(ln_power) * off)) - wanted
@@ -100,10 +100,7 @@ def largest_power(ln_density: FloatArray, wanted: float, most: float = 1.0) -> f
     highest = float(np.log(most))
     if excess(highest) >= 0:
         return most
-    lowest = highest + LEAST_LN_POWER
-    if excess(lowest) <= 0:
-        return CROWDED * most
-    return float(np.exp(brentq(excess, lowest, highest, xtol=TOLERANCE)))
+    return float(np.exp(brentq(excess, highest + LEAST_LN_POWER, highest, xtol=TOLERANCE)))
 
 
 def systematic(weight: FloatArray, offset: float) -> IntArray:

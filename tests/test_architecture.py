@@ -40,7 +40,7 @@ ALLOWED = {
     "pages": {"pages", "spectra", "regolith", "twin", *SHARED},
     "guide": {"guide", "pages", "spectra", "regolith", "images", "twin", *SHARED},
     "reproduce": {"reproduce", "pages", "spectra", "regolith", "images", "twin", *SHARED},
-    "rovers": {"rovers", "errors", "io", "names"},
+    "rovers": {"rovers", "errors", "io", "names", "ranges"},
 }
 MODULES = [path for folder in ("lunarsci", "cli", "spectra_data") for path in (ROOT / folder).rglob("*.py")]
 LIBRARY = [path for path in MODULES if ROOT / "lunarsci" in path.parents]

@@ -26,7 +26,10 @@ def test_a_density_that_leaves_enough_is_taken_as_it_is() -> None:
 
 
 def test_fewer_possible_points_than_wanted_still_go_on() -> None:
-    assert 0 < largest_power(np.array([0.0, -np.inf, -np.inf, -1.0]), 3.0) < 0.01
+    """Of ten possible points half count after the step, as of a population that is all possible."""
+    ln_density = np.where(np.arange(40) < 10, -np.linspace(0.0, 90.0, 40), -np.inf)
+    power = largest_power(ln_density, 20.0)
+    assert effective_number(weights(power * ln_density)) == pytest.approx(5.0)
 
 
 def test_systematic_draws_are_within_one_of_the_share() -> None:

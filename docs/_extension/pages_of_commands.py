@@ -213,6 +213,8 @@ PARTS = {
     "of_soils": "how many soils of known composition were tried",
 }
 """Keys that mean the same wherever they stand, of what their parent key names."""
+SINGLE_STATES = ("bearing", "shear", "lateral", "observations")
+"""Parts of `regolith identify` and `infer` whose `low` and `high` end intervals of 95 %, of what one state may give."""
 NUMBER = re.compile(r"value|published|sigma|sd|mean|median|min|max|p\d+|(ground|range|soils)_.*|(low|high)_?\d*")
 """Those of them that have the unit of their parent."""
 
@@ -248,7 +250,9 @@ def _meaning(key: str, known: dict[str, tuple[str, str]], area: str) -> tuple[st
     name = name if name in PARTS else re.sub(r"^(p5|p05|p50|p95)_\w+$", r"\1", name)
     if name in PARTS:
         unit = unit_of(parts[-1]) or (unit_of(above) if NUMBER.fullmatch(name) else "")
-        return unit, f"{PARTS[name]} (of `{above}`)" if above else PARTS[name]
+        single = area == "regolith" and parts[0] in SINGLE_STATES
+        meaning = PARTS[name].replace("68 %", "95 %") if single else PARTS[name]
+        return unit, f"{meaning} (of `{above}`)" if above else meaning
     unit, meaning = said.get(name, ("", ""))
     return unit_of(name) or unit, meaning
 

@@ -11,7 +11,7 @@ well.
 
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from types import MappingProxyType
@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import ParameterError, named
 from lunarsci.io.documents import json_document
 from lunarsci.io.inputs import InputFile, read_json, text
-from lunarsci.ranges import SHARE, check_each
+from lunarsci.ranges import SHARE, check_each, refuse
 from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy
 from lunarsci.regolith.prior import NINETY_FIVE, PARAMETERS, ROLLING, Law, default_prior, rolling_prior, values_of
 from lunarsci.regolith.wheel import Wheel
@@ -68,10 +68,11 @@ class FitVerdict:
     assumed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.trusted is not (not self.reason):
-            raise ParameterError("a verdict is trusted, or says why not")
-        if len(self.model_error) != 3:
-            raise ParameterError("a model error has a share for F_N, F_DP and F_L")
+        faults = {
+            "a verdict is trusted, or says why not": self.trusted is not (not self.reason),
+            "a model error has a share for F_N, F_DP and F_L": len(self.model_error) != 3,
+        }
+        refuse(faults)
 
     def to_dict(self) -> dict[str, Any]:
         """As `verdict_of` reads it."""
@@ -82,11 +83,9 @@ def verdict_of(document: Any) -> FitVerdict | None:
     """The verdict of a parsed document, None for None. Raises ParameterError for what is none."""
     if document is None:
         return None
-    try:
+    with named("its verdict cannot be read", ParameterError):
         lists = {name: tuple(map(kind, document.get(name, ()))) for name, kind in LISTS.items()}
         return FitVerdict(**{**document, **lists})
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ParameterError(f"its verdict cannot be read: {error}") from error
 
 
 def doubt(verdict: FitVerdict) -> str:
@@ -115,14 +114,12 @@ def verdict_line(verdict: FitVerdict) -> str:
 def read_verdict(source: InputFile) -> FitVerdict | None:
     """The verdict that a table of soils or a belief carries, None where it carries none. Raises DataError."""
     content = text(source)
-    try:
+    with named(source.name):
         if source.name.lower().endswith(".json"):
             document = json_document(content)
             return verdict_of(document.get("verdict") if isinstance(document, dict) else None)
         first = content.partition("\n")[0].rstrip("\r")
         return verdict_of(json_document(first.removeprefix(MARK))) if first.startswith(MARK) else None
-    except (json.JSONDecodeError, ParameterError) as error:
-        raise DataError(f"{source.name}: {error}") from error
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,19 +150,17 @@ class SoilBelief:
 
     def __post_init__(self) -> None:
         size, draws = len(self.names), np.zeros((0, len(self.names))) if self.population is None else self.population
-        if self.names not in (PARAMETERS, OPEN) or self.mean.shape != (size,) or self.covariance.shape != (size, size):
-            needed = f"{', '.join(PARAMETERS)}, and of none or all of {', '.join(ROLLING)}"
-            raise ParameterError(f"a belief needs laws, a mean and a covariance of {needed}")
-        if (
-            draws.ndim != 2
-            or draws.shape[1] != size
-            or not all(np.isfinite(numbers).all() for numbers in (self.mean, self.covariance, draws))
-        ):
-            raise ParameterError(f"a belief needs finite numbers, and {size} for each draw of its population")
+        shapes = self.mean.shape == (size,) and self.covariance.shape == (size, size)
+        needed = f"{', '.join(PARAMETERS)}, and of none or all of {', '.join(ROLLING)}"
+        refuse({f"a belief needs laws, a mean and a covariance of {needed}":
+                self.names not in (PARAMETERS, OPEN) or not shapes})  # fmt: skip
+        finite = all(np.isfinite(numbers).all() for numbers in (self.mean, self.covariance, draws))
+        refuse({f"a belief needs finite numbers, and {size} for each draw of its population":
+                draws.ndim != 2 or draws.shape[1] != size or not finite})  # fmt: skip
         scale = np.sqrt(np.abs(np.diag(self.covariance)))
         scaled = self.covariance / np.outer(scale, scale)
-        if not ((np.abs(scaled - scaled.T) <= ASYMMETRY).all() and np.linalg.eigvalsh(scaled)[0] > 0):
-            raise ParameterError("a belief's covariance must be symmetric and positive definite")
+        definite = (np.abs(scaled - scaled.T) <= ASYMMETRY).all() and np.linalg.eigvalsh(scaled)[0] > 0
+        refuse({"a belief's covariance must be symmetric and positive definite": not definite})
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -296,23 +291,21 @@ def first_belief(laws: Mapping[str, Law] | None = None) -> SoilBelief:
 
 def belief_of(document: Mapping[str, Any]) -> SoilBelief:
     """The belief of a parsed document. Raises ParameterError for what is none."""
-    if not isinstance(document, Mapping) or document.get("schema") != SCHEMA:
-        raise ParameterError(f"not a soil belief; its schema must be {SCHEMA}")
-    try:
+    ours = isinstance(document, Mapping) and document.get("schema") == SCHEMA
+    refuse({f"not a soil belief; its schema must be {SCHEMA}": not ours})
+    with named("", ParameterError):
         laws = {name: Law(**document["laws"][name]) for name in document["order"]}
         mean, covariance = (np.array(document[key], dtype=np.float64) for key in ("mean", "covariance"))
         drawn, history = document.get("population"), tuple(document.get("history", ()))
         population = None if drawn is None else np.array(drawn, dtype=np.float64)
         verdict, discrepancy = verdict_of(document.get("verdict")), PhysicsDiscrepancy.of(document.get("discrepancy"))
         belief = SoilBelief(laws, mean, covariance, history, population, verdict, discrepancy)
-        _check_likely(belief)
+        refuse(_unlikely(belief))
         return belief
-    except (KeyError, TypeError, ValueError) as error:
-        raise ParameterError(f"no {error} in it" if isinstance(error, KeyError) else str(error)) from error
 
 
-def _check_likely(belief: SoilBelief) -> None:
-    """Raises ParameterError for a belief far from both its own laws and those of `priors.toml`, or much wider."""
+def _unlikely(belief: SoilBelief) -> Iterator[str]:
+    """Parameters that are far from both the belief's own laws and those of `priors.toml`, or much wider."""
     for k, (name, law) in enumerate(belief.laws.items()):
         usual = default_prior().get(name, law)
         median, sd = float(law.back(belief.mean[k])), float(belief.covariance[k, k]) ** 0.5
@@ -320,7 +313,7 @@ def _check_likely(belief: SoilBelief) -> None:
             off = min(abs(belief.mean[k] - law.center) / law.width, abs(usual.widths_off(median)))
         wide = sd / max(law.width, usual.width)
         if not (off <= FARTHEST_WIDTHS and wide <= FARTHEST_WIDTHS):
-            raise ParameterError(
+            yield (
                 f"its mean of {name} is {belief.mean[k]:g}, which stands for {median:.3g}, {off:.0f} standard "
                 f"deviations from its law, and {wide:.3g} times as wide as that; means and variances are of '{law.of}'"
             )
@@ -404,26 +397,24 @@ def past_beliefs(belief: SoilBelief) -> list[SoilBelief | None]:
 def _state(belief: SoilBelief, entry: Mapping[str, Any], number: int) -> SoilBelief | None:
     if any(key not in entry for key in STATE):
         return None
-    try:
+    with named(f"history, drive {number}", ParameterError):
         mean, covariance = (np.array(entry[key], dtype=np.float64) for key in STATE)
         saved = entry.get("discrepancy")
         discrepancy = PhysicsDiscrepancy.of(saved and _with_lines(saved, belief))
         laws = belief.laws if len(mean) == len(belief.laws) else belief.soil.laws
         return SoilBelief(laws, mean, covariance, belief.history[:number], discrepancy=discrepancy)
-    except (KeyError, TypeError, ValueError) as error:
-        raise ParameterError(f"history, drive {number}: {error}") from error
 
 
 def _with_lines(saved: Mapping[str, Any], belief: SoilBelief) -> Mapping[str, Any]:
     """A discrepancy of an entry with what it rested on by then: the first of the belief's lines; older files have them.
 
-    Raises ValueError for more of them than there are.
+    Raises ParameterError for more of them than there are.
     """
     count, lines = saved.get("scored", ()), belief.discrepancy.scored
     if not isinstance(count, int):
         return saved
-    if not 0 <= count <= len(lines):
-        raise ValueError(f"its discrepancy rests on {count} drives, that of the belief on {len(lines)}")
+    more = f"its discrepancy rests on {count} drives, that of the belief on {len(lines)}"
+    refuse({more: not 0 <= count <= len(lines)})
     return {**saved, "scored": lines[:count]}
 
 
@@ -510,9 +501,11 @@ def compare_beliefs(one: SoilBelief, other: SoilBelief) -> BeliefDistance:
     10.1214/aoms/1177729694. Raises ParameterError for beliefs whose parameters are transformed otherwise.
     """
     one, other = one.soil, other.soil
-    strange = [name for name in PARAMETERS if one.laws[name].of != other.laws[name].of]
-    if strange:
-        raise ParameterError(f"the beliefs do not compare: {strange[0]} is transformed otherwise in the two")
+    refuse(
+        f"the beliefs do not compare: {name} is transformed otherwise in the two"
+        for name in PARAMETERS
+        if one.laws[name].of != other.laws[name].of
+    )
     mine, theirs = one.intervals(), other.intervals()
     off, total = other.mean - one.mean, one.covariance + other.covariance
     rows = {}

@@ -198,11 +198,12 @@ def asked_units(units: str) -> dict[str, str]:
     units_of["slip_ratio"] += [RIM, TRAVEL]
     for part in filter(None, (one.strip() for one in units.split(","))):
         column, _, unit = (word.strip() for word in part.partition("="))
-        if column not in units_of:
-            raise RequestError(f"`units` '{part}': {one_of(column, [*units_of])}, = and its unit")
         shift = column == "sinkage_m" and re.fullmatch(r"[+-]\d*\.?\d+(e-?\d+)?", unit)
-        if unit.lower() not in units_of[column] and not shift:
-            raise RequestError(f"`units` '{part}': {one_of(unit, units_of[column])}")
+        if unit.lower() not in units_of.get(column, ()) and not shift:
+            other = (
+                one_of(unit, units_of[column]) if column in units_of else f"{one_of(column, units_of)}, = and its unit"
+            )
+            raise RequestError(f"`units` '{part}': {other}")
         result[column] = unit.lower()
     return result
 

@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import ParameterError
 from lunarsci.io.tables import table_hashes, table_rows
-from lunarsci.ranges import check_each
+from lunarsci.ranges import check_each, refuse
 from lunarsci.regolith.belief import SoilBelief
 from lunarsci.regolith.prior import DETERMINED, PARAMETERS, Law
 from lunarsci.regolith.soil import RANGES
@@ -85,11 +84,9 @@ class Site:
 
     def __post_init__(self) -> None:
         given = [getattr(self, name) is not None for name in self.__slots__]
-        for words, one, other in zip(PAIRED, given[::2], given[1::2], strict=True):
-            if one != other:
-                raise ParameterError(f"{words} go together; give both or none")
-        if not any(given[:4]):
-            raise ParameterError("nothing to compare: give stiffness and exponent, or cohesion and friction angle")
+        halves = zip(PAIRED, given[::2], given[1::2], strict=True)
+        refuse(f"{words} go together; give both or none" for words, one, other in halves if one != other)
+        refuse({"nothing to compare: give stiffness and exponent, or cohesion and friction angle": not any(given[:4])})
         check_each("", self, {name: RANGES[name] for name in SYMBOLS})
 
 
@@ -266,9 +263,9 @@ def compare_site(
     drawn = {} if left_open is None else left_open.belief.draws(DRAWS, SEED)
     compared = []
     for soil in soils or reference_soils():
-        bearing, strength = _single(_bearing(one, soil, width_m)), _single(_strength(one, soil))
-        bearings = _range(_bearing(drawn, soil, width_m)) if drawn and bearing is not None else None
-        strengths = _range(_strength(drawn, soil)) if drawn and strength is not None else None
+        bearing, strength = _single(bearing_distances(one, soil, width_m)), _single(strength_distances(one, soil))
+        bearings = _range(bearing_distances(drawn, soil, width_m)) if drawn and bearing is not None else None
+        strengths = _range(strength_distances(drawn, soil)) if drawn and strength is not None else None
         compared.append(SoilComparison(soil, bearing, strength, bearings, strengths))
     return compared
 
@@ -282,8 +279,11 @@ def _range(distances: FloatArray) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _bearing(sites: Mapping[str, FloatArray], soil: ReferenceSoil, width_m: float) -> FloatArray:
-    """Distances of sites, (n,); NaN where either side is not known."""
+def bearing_distances(sites: Mapping[str, FloatArray], soil: ReferenceSoil, width_m: float) -> FloatArray:
+    """Of a soil from sites in bearing under a wheel so wide [m]; NaN where one is not known. (n,) [-]
+
+    `sites` has values (n,) by parameter.
+    """
     stiffness = soil.stiffness(width_m)
     if soil.sinkage_exponent is None or stiffness is None or stiffness <= 0:
         return np.full(len(sites["stiffness_kpa_m_n"]), np.nan)
@@ -292,8 +292,8 @@ def _bearing(sites: Mapping[str, FloatArray], soil: ReferenceSoil, width_m: floa
     return np.asarray(np.sqrt(np.mean(ratio**2, axis=1)))
 
 
-def _strength(sites: Mapping[str, FloatArray], soil: ReferenceSoil) -> FloatArray:
-    """The same of strength."""
+def strength_distances(sites: Mapping[str, FloatArray], soil: ReferenceSoil) -> FloatArray:
+    """The same in shear strength. (n,) [-]"""
     strength = sites["cohesion_pa"][:, None] + STRESSES_PA * np.tan(np.radians(sites["friction_angle_deg"]))[:, None]
     low, high = (
         c + STRESSES_PA * np.tan(np.radians(phi))

@@ -38,12 +38,13 @@ from lunarsci.compiled.lanes import (
     sine,
 )
 from lunarsci.errors import LunarSciWarning, ParameterError
+from lunarsci.names import checked_name
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.wheel import SHEAR_SIGNS, ShearSign, Wheel
 
 MOST_COHESION = 1.0
-"""Share of the normal force that cohesion alone may pull; beyond, forces are those of a wheel hardly in touch. Assumed:
-wheels that were compared with the model pull less than their load."""
+"""Share of the normal force that cohesion alone may pull; beyond, forces are those of a wheel hardly in touch. Wheels
+that were compared with the model pull up to 0.44 of their load, as measured (`tests/benchmarks/wheels.py`)."""
 LEAST_SINKAGE_M = 1e-7
 """Below this the contact angles round to nothing."""
 
@@ -224,9 +225,7 @@ class WheelForces:
 
 def shear_sign_code(reading: str) -> int:
     """Number of a reading for the compiled formulas. Raises ParameterError for an unknown one."""
-    if reading not in SHEAR_SIGNS:
-        raise ParameterError(f"reading '{reading}' is unknown; choose one of: {', '.join(SHEAR_SIGNS)}")
-    return SHEAR_SIGNS.index(reading)
+    return SHEAR_SIGNS.index(checked_name(reading, SHEAR_SIGNS, "a reading of the shear stress"))
 
 
 def warn_of_shear_sign(reading: ShearSign) -> None:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled
-from lunarsci.errors import ParameterError
+from lunarsci.names import checked_name
 from lunarsci.ranges import NOT_NEGATIVE, POSITIVE, check_each
 from lunarsci.regolith.forces import contact_angles, longitudinal_mobilisation, stress_moments, travel_ratio
 from lunarsci.regolith.wheel import SLIP_SINKAGE_LAWS, SlipSinkageLaw
@@ -83,11 +83,9 @@ def slip_sinkage(
     Lyasko (2010), J. Terramechanics 47, 21, 10.1016/j.jterra.2009.08.005.
     """
     static, slip = np.broadcast_arrays(np.asarray(static_m, dtype=float), np.asarray(slip_ratio, dtype=float))
-    if law not in SLIP_SINKAGE_LAWS:
-        raise ParameterError(f"law '{law}' is unknown; choose one of: {', '.join(SLIP_SINKAGE_LAWS)}")
-    if not ((static >= 0).all() and ((slip >= 0) & (slip < 1)).all() and 0 <= rate < np.inf):
-        raise ParameterError("static sinkage and rate must be 0 or more, the slip ratio 0 to below 1")
-    if law == "lyasko":
+    given = {"static sinkage": static.min(), "slip ratio": slip.min(), "largest slip ratio": slip.max(), "rate": rate}
+    check_each("", given, dict.fromkeys(given, NOT_NEGATIVE) | {"largest slip ratio": "(-inf, 1)"})
+    if checked_name(law, SLIP_SINKAGE_LAWS, "a law of slip and sinkage") == "lyasko":
         return np.asarray(static * (1 + slip) / (1 - slip / 2))
     return np.asarray(static * (1 + rate * slip))
 

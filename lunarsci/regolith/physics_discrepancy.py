@@ -14,8 +14,7 @@ import numpy as np
 from scipy.special import polygamma, psi, stdtrit
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import ParameterError
-from lunarsci.ranges import POSITIVE, check_each
+from lunarsci.ranges import POSITIVE, check_each, refuse
 
 AXES = ("along", "across")
 SHARED = ("sinkage_m", "drawbar_pull_n", "lateral_force_n")
@@ -128,8 +127,7 @@ class PhysicsDiscrepancy:
     scored: tuple[Mapping[str, Any], ...] = field(default=())
 
     def __post_init__(self) -> None:
-        if tuple(sorted(self.quantities)) != tuple(sorted(SHARED)):
-            raise ParameterError(f"a discrepancy needs laws of {', '.join(SHARED)}")
+        refuse({f"a discrepancy needs laws of {', '.join(SHARED)}": {*self.quantities} != {*SHARED}})
 
     def covariance_m2(self, way_m2: FloatArray) -> FloatArray:
         """Of an end whose way has the matrix `way_m2`, tails included. (2, 2) from (2, 2) [m2]"""

@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import ParameterError, named
 from lunarsci.io.documents import toml_of
 from lunarsci.io.inputs import InputFile, text
 from lunarsci.io.tables import table_hashes
-from lunarsci.names import one_of
-from lunarsci.ranges import FINITE, NOT_NEGATIVE, POSITIVE, check_each
+from lunarsci.names import checked_name, one_of
+from lunarsci.ranges import FINITE, NOT_NEGATIVE, POSITIVE, check_each, refuse
 from lunarsci.regolith.wheel import Wheel
 
 PRIORS = "priors.toml"
@@ -53,10 +53,11 @@ TRANSFORMS = {
 DETERMINED = 0.5
 """A parameter counts as determined where its standard deviation is below this share of the prior's; assumed."""
 SIGNIFICANCE = 1e-3
-"""Chance below which a scatter, a residual or a trend counts as none; assumed, one for all tests of wheel states."""
+"""Level of every test of wheel states, the strictest of Fisher & Yates (1938), Statistical Tables for Biological,
+Agricultural and Medical Research."""
 STRANGE, NINETY_FIVE = 3.290527, 1.959964
-"""Widths of the prior beyond which no parameter lies, of a normal law to either side by a chance of `SIGNIFICANCE`, and
-half of those that hold 95 %. [standard deviations]"""
+"""Beyond the first a normal law lies, to either side, by a chance of `SIGNIFICANCE`; the second is half of what holds
+95 %. [standard deviations]"""
 FIXED_SD = 1e-6
 """Stands for a parameter that is known."""
 
@@ -81,8 +82,7 @@ class Law:
     source: str = ""
 
     def __post_init__(self) -> None:
-        if self.of not in TRANSFORMS:
-            raise ParameterError(f"a prior of '{self.of}' is unknown; give one of {', '.join(TRANSFORMS)}")
+        checked_name(self.of, TRANSFORMS, "a transform that a prior is of")
         check_each("a prior's", self, {"median": TRANSFORMS[self.of], "sd": NOT_NEGATIVE})
 
     @property
@@ -118,8 +118,10 @@ class Law:
         return np.degrees(np.arctan(np.exp(transform))) if self.of == "ln tan" else np.asarray(transform)
 
 
-LOAD_PRESSURE_PA = Law("ln", 3000.0, 0.9, "1.6 kPa of Yutu-2, some 6 kPa of the Mars Exploration Rovers; width assumed")
-"""Load of a wheel over its radius times its width; assumed."""
+LOAD_PRESSURE_PA = Law("ln", 3000.0, 0.9, "3 kPa of the Lunar Roving Vehicle; 68 % span 1.2 to 7.4 kPa")
+"""Load of a wheel over its radius times its width: 1.6 kPa of Yutu-2, 3.0 of the Lunar Roving Vehicle (Costes, Farmer &
+George 1972, NASA TR R-401), 5.5 of the Mars Exploration Rovers (Lindemann & Voorhees 2005, 10.1109/ICSMC.2005.1571187).
+"""
 
 
 @cache
@@ -172,13 +174,11 @@ def read_prior(source: InputFile, contact: bool = False) -> dict[str, Law]:
     """
     document = toml_of(source.name, text(source))
     laws = {**default_prior(), **(contact_prior() if contact else {})}
-    for name, table in document.items():
-        if name not in laws:
-            raise DataError(f"{source.name}: '{name}' is not a soil parameter; {one_of(name, laws)}")
-        try:
-            laws[name] = Law(**({"of": laws[name].of, "source": source.name} | table))
-        except (TypeError, ParameterError) as error:
-            raise DataError(f"{source.name}: [{name}] {error}") from error
+    with named(source.name):
+        refuse(f"'{name}' is not a soil parameter; {one_of(name, laws)}" for name in document if name not in laws)
+        for name, table in document.items():
+            with named(f"[{name}]", ParameterError):
+                laws[name] = Law(**({"of": laws[name].of, "source": source.name} | table))
     return laws
 
 
@@ -192,11 +192,14 @@ def values_of(
 
 
 SLIPS = 0.01
-"""Odds of another unit, or of a digit too many or too few, before a number is looked at; assumed."""
+"""Odds of another unit, or of a digit too many or too few, before a number is looked at; assumed. A tenth of it moves
+where a number is asked about by 0.3 standard deviations of its law where units differ by 1000, by 0.9 where by 10;
+`--as-written` asks nothing."""
 AS_WRITTEN = "--as-written"
 """The option that takes all numbers as they are."""
 DECADES = 6.0
-"""Over which a slip of any size is taken to be even, in the logarithm; assumed."""
+"""From milli to kilo, over which a slip of any size is even in the logarithm. Twice as many move where a number that no
+unit explains is asked about by 0.2 standard deviations of its law."""
 
 
 @dataclass(frozen=True, slots=True)

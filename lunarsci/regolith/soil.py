@@ -3,17 +3,16 @@
 import dataclasses
 import math
 import tomllib
-import warnings
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from lunarsci.errors import DataError, LunarSciWarning, ParameterError
+from lunarsci.errors import DataError, named, warn
 from lunarsci.io.documents import toml_of
 from lunarsci.io.tables import table_hashes
-from lunarsci.names import meant, one_of
+from lunarsci.names import checked_name, meant, one_of
 from lunarsci.provenance import sha256
-from lunarsci.ranges import ACUTE_DEG, FINITE, NOT_NEGATIVE, POSITIVE, check_each
+from lunarsci.ranges import ACUTE_DEG, FINITE, NOT_NEGATIVE, POSITIVE, check_each, refuse
 from lunarsci.regolith.prior import Question, default_prior, question
 
 RANGES = {
@@ -81,9 +80,8 @@ class Soil:
 
     def replace(self, **changes: float) -> "Soil":
         """The same soil with some parameters changed. Raises ParameterError for a name that is none."""
-        if wrong := [name for name in changes if name not in RANGES]:
-            raise ParameterError(f"'{wrong[0]}' is not a soil parameter; {one_of(wrong[0], RANGES)}")
-        return dataclasses.replace(self, **changes)
+        named_so = {checked_name(name, RANGES, "a soil parameter"): value for name, value in changes.items()}
+        return dataclasses.replace(self, **named_so)
 
 
 def soil_tables() -> dict[str, dict[str, Any]]:
@@ -121,7 +119,7 @@ def read_soil(soil: str) -> Soil:
 def warn_of_unusual(soil: Soil, called: str) -> None:
     """Warn of values that would be likely in another unit, or that no lunar soil has."""
     for asked in unusual(soil, called):
-        warnings.warn(asked.doubt, LunarSciWarning, stacklevel=3)
+        warn(asked.doubt)
 
 
 def unusual(soil: Soil, called: str = "soil") -> list[Question]:
@@ -135,13 +133,11 @@ def unusual(soil: Soil, called: str = "soil") -> list[Question]:
 
 def _soil(table: dict[str, Any], origin: str) -> Soil:
     values = {name: value for name, value in table.items() if name not in ("source", "assumed")}
-    if unknown := [name for name in values if name not in RANGES]:
-        raise DataError(f"{origin}: '{unknown[0]}' is not a key of a soil; {one_of(unknown[0], RANGES)}")
-    if tables := [name for name, value in values.items() if isinstance(value, dict)]:
-        raise DataError(
-            f"{origin}: {tables[0]} is a law, as of a prior, and a soil has numbers; see `lunarsci template soil`"
+    with named(origin):
+        refuse(f"'{name}' is not a key of a soil; {one_of(name, RANGES)}" for name in values if name not in RANGES)
+        refuse(
+            f"{name} is a law, as of a prior, and a soil has numbers; see `lunarsci template soil`"
+            for name, value in values.items()
+            if isinstance(value, dict)
         )
-    try:
         return Soil(**{name: float(value) for name, value in values.items()})
-    except (TypeError, ValueError) as error:
-        raise DataError(f"{origin}: {error}") from error

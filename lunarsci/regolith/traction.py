@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.errors import ParameterError
-from lunarsci.ranges import POSITIVE, check_each
+from lunarsci.ranges import POSITIVE, check_each, refuse
 from lunarsci.regolith.forces import LEAST_SINKAGE_M, WheelForces
 from lunarsci.regolith.integrals import ContactForces, forces_by
 from lunarsci.regolith.inversion import slip_sinkage
@@ -21,7 +20,8 @@ DESIGN_SLIP = 0.2
 """Slip at which wheels are compared, first of the Lunar Roving Vehicle: Freitag, Green & Melzer (1970), Waterways
 Experiment Station TR M-70-2. [-]"""
 STEEPEST_DEG = 45.0
-"""No slope steeper than this is looked at; no lunar soil stands so. Assumed."""
+"""No slope steeper than this is looked at: lunar ones are hardly steeper than 35 deg (Kreslavsky & Head 2016, Icarus
+273, 329, 10.1016/j.icarus.2016.02.036)."""
 
 
 def sinkage_under_load(
@@ -57,10 +57,11 @@ def sinkage_under_load(
         )
 
     shallow, deep = LEAST_SINKAGE_M, DEEPEST * wheel.radius_m
-    if excess(shallow) > 0:
-        raise ParameterError(f"{load_n:g} N does not press the wheel in at all on this soil; check load and soil")
-    if excess(deep) < 0:
-        raise ParameterError(f"the soil carries less than {load_n:g} N at {deep:.3f} m sinkage; check load and soil")
+    faults = {
+        f"{load_n:g} N does not press the wheel in at all on this soil; check load and soil": excess(shallow) > 0,
+        f"the soil carries less than {load_n:g} N at {deep:.3f} m sinkage; check load and soil": excess(deep) < 0,
+    }
+    refuse(faults)
     return float(brentq(excess, shallow, deep, xtol=1e-12))
 
 
@@ -88,8 +89,7 @@ def stiffness_under_load(
     forces = [forces_by(model, wheel, one, sinkage_m, slip_ratio, side_slip_deg, reading) for one in soils]
     one, two = (float(force.normal_force_n) for force in forces)
     times = 1 + (load_n - one) / (two - one)
-    if not times > 0:
-        raise ParameterError(f"cohesion alone carries {load_n:g} N at {sinkage_m:.4f} m; check load, sinkage and soil")
+    refuse({f"cohesion alone carries {load_n:g} N at {sinkage_m:.4f} m; check load, sinkage and soil": not times > 0})
     return times * soil.stiffness_kpa_m_n
 
 

@@ -5,8 +5,9 @@ from dataclasses import dataclass, fields
 from typing import Literal, get_args
 
 from lunarsci.constants import LUNAR_GRAVITY
-from lunarsci.errors import DataError, ParameterError
-from lunarsci.ranges import NOT_NEGATIVE, POSITIVE, SHARE, check_each
+from lunarsci.errors import named
+from lunarsci.names import checked_name
+from lunarsci.ranges import NOT_NEGATIVE, POSITIVE, SHARE, check_each, refuse
 from lunarsci.rovers import RoverDescription, read_rover
 
 PAPER = "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8"
@@ -66,10 +67,12 @@ class Wheel:
 
     def __post_init__(self) -> None:
         check_each("wheel", self, RANGES)
-        if not self.grouser_height_m < self.radius_m:
-            raise ParameterError(f"wheel grouser_height_m is {self.grouser_height_m:g}, not less than radius_m; in mm?")
-        if not self.exit_c3 < self.max_stress_c1 < 1:
-            raise ParameterError("wheel contact angles need exit_c3 < max_stress_c1 < 1")
+        faults = {
+            f"wheel grouser_height_m is {self.grouser_height_m:g}, not less than radius_m; in mm?":
+                not self.grouser_height_m < self.radius_m,
+            "wheel contact angles need exit_c3 < max_stress_c1 < 1": not self.exit_c3 < self.max_stress_c1 < 1,
+        }  # fmt: skip
+        refuse(faults)
 
     @property
     def shearing_radius_m(self) -> float:
@@ -93,10 +96,8 @@ def read_wheel(rover: str | RoverDescription) -> Wheel:
     """The wheel of a rover: a name such as `yutu2`, a TOML file, or a description already read."""
     description = read_rover(rover) if isinstance(rover, str) else rover
     table = description.table("wheel")
-    try:
+    with named(f"{description.origin}: [wheel]"):
         return Wheel(**{name: float(value) for name, value in table.items()})
-    except (TypeError, ValueError) as error:
-        raise DataError(f"{description.origin}: [wheel] {error}") from error
 
 
 def left_to_defaults(description: RoverDescription) -> tuple[str, ...]:
@@ -150,18 +151,17 @@ class ContactModel:
     reload_rise_n_m4: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, value, choices in (
-            ("reading", self.reading, SHEAR_SIGNS),
-            ("shear law", self.shear, SHEAR_LAWS),
-            ("bulldozing law", self.bulldozing, BULLDOZING),
-        ):
-            if value not in choices:
-                raise ParameterError(f"{name} '{value}' is unknown; choose one of: {', '.join(choices)}")
-        if self.shear != "separate" and self.reading != "signed":
-            raise ParameterError(f"reading '{self.reading}' belongs to separate shear; take reading 'signed'")
+        checked_name(self.reading, SHEAR_SIGNS, "a reading of the shear stress")
+        checked_name(self.shear, SHEAR_LAWS, "a shear law")
+        checked_name(self.bulldozing, BULLDOZING, "a bulldozing law")
         check_each("", self, CONTACT_RANGES)
-        if self.rut_m > 0 and self.reload_n_m3 + self.reload_rise_n_m4 == 0:
-            raise ParameterError("a rut needs the slope of reloading, reload_n_m3 or reload_rise_n_m4")
+        faults = {
+            f"reading '{self.reading}' belongs to separate shear; take reading 'signed'":
+                self.shear != "separate" and self.reading != "signed",
+            "a rut needs the slope of reloading, reload_n_m3 or reload_rise_n_m4":
+                self.rut_m > 0 and self.reload_n_m3 + self.reload_rise_n_m4 == 0,
+        }  # fmt: skip
+        refuse(faults)
 
     def vector(self) -> tuple[float, float, float, float, float, float, float, float, float]:
         """What the compiled integrals take; NaN for an n2 and -1 for a rebound that are not given."""

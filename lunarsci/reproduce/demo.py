@@ -229,9 +229,12 @@ class Demonstration(Result):
 
     def rows(self) -> list[dict[str, Any]]:
         """One a quantity that was found, beside the truth where there is one."""
-        seen = [] if self.seen is None else [_seen_finding(self.seen)]
+        height, found = "pictures: height of the ground 3 m ahead", list[dict[str, Any]]()
+        if self.seen is not None:
+            heights = (self.seen.height_m, self.seen.sigma_m, self.seen.truth_m)
+            found = [_finding(height, *heights, "m", "ground.png")]
         return [
-            *seen,
+            *found,
             *_rock_findings(self.rock),
             *_drive_findings(self.drive),
             *_soil_findings(self.soil, read_soil(SOIL)),
@@ -240,8 +243,7 @@ class Demonstration(Result):
     @property
     def pictures(self) -> dict[str, Callable[[], bytes]]:
         """File name to what draws it."""
-        ground = {} if self.seen is None else {"ground.png": partial(_ground_picture, self.seen)}
-        return ground | _pictures(self.rock, self.drive, self.soil)
+        return _pictures(self.seen, self.rock, self.drive, self.soil)
 
     @property
     def files(self) -> dict[str, Callable[[], bytes]]:
@@ -285,15 +287,6 @@ def demo(seed: int = 0, *, say: Callable[[str], None] = lambda step: None) -> De
     return Demonstration(seed, seen, rock, drive, _ground(drive, seed))
 
 
-def _seen_finding(seen: SeenGround) -> dict[str, Any]:
-    name = "pictures: height of the ground 3 m ahead"
-    return _finding(name, seen.height_m, seen.sigma_m, seen.truth_m, "m", "ground.png")
-
-
-def _ground_picture(seen: SeenGround) -> bytes:
-    return picture_bytes(seen.heights.figures(), Path("ground.png"))
-
-
 def _drive_findings(the_drive: PredictedDrive) -> list[dict[str, Any]]:
     limits = {limit.quantity: limit for limit in the_drive.verdict.limits}
     slip, end = limits["slip_ratio"], the_drive.verdict.endpoint
@@ -318,35 +311,22 @@ def _soil_findings(soil: Identification, truth: Soil) -> list[dict[str, Any]]:
     ]
 
 
-def _pictures(the_rock: StudiedRock, the_drive: PredictedDrive, soil: Identification) -> dict[str, Callable[[], bytes]]:
-    def picture(name: str, figures: Iterable[Figure]) -> bytes:
-        return picture_bytes(figures, Path(name))
-
-    def calibration() -> bytes:
-        return picture("calibration.png", calibration_pages([the_rock.calibration]))
-
-    def bands() -> bytes:
-        return picture("bands.png", band_pages([the_rock.bands]))
-
-    def fit() -> bytes:
-        return picture("fit.png", fit_pages([the_rock.fit]))
-
-    def shares() -> bytes:
-        return picture("shares.png", the_rock.shares.figures())
-
-    def path() -> bytes:
-        with styled():
-            return picture("drive.png", [path_fan(the_drive.prediction, the_drive.verdict)])
-
-    def curves() -> bytes:
-        with styled():
-            return picture("soil.png", [characteristic_curves(soil, synthetic=True)])
-
-    return {
-        "calibration.png": calibration,
-        "bands.png": bands,
-        "fit.png": fit,
-        "shares.png": shares,
-        "drive.png": path,
-        "soil.png": curves,
+def _pictures(
+    seen: SeenGround | None, rock: StudiedRock, drive: PredictedDrive, soil: Identification
+) -> dict[str, Callable[[], bytes]]:
+    """File name to what draws it."""
+    pages: dict[str, Callable[[], Iterable[Figure]]] = {} if seen is None else {"ground.png": seen.heights.figures}
+    pages |= {
+        "calibration.png": lambda: calibration_pages([rock.calibration]),
+        "bands.png": lambda: band_pages([rock.bands]),
+        "fit.png": lambda: fit_pages([rock.fit]),
+        "shares.png": rock.shares.figures,
+        "drive.png": lambda: [path_fan(drive.prediction, drive.verdict)],
+        "soil.png": lambda: [characteristic_curves(soil, synthetic=True)],
     }
+
+    def drawn(name: str) -> bytes:
+        with styled():
+            return picture_bytes(pages[name](), Path(name))
+
+    return {name: partial(drawn, name) for name in pages}

@@ -3,6 +3,8 @@
 The elevation model of Longji, the dimensions of the rover and most soil parameters of their simulation are in a
 supplement that is not openly available. What a stand-in for them gives is shown as an example, with its range over
 four pieces of ground, and is not judged. What does not depend on the ground is.
+
+The slip at which a rover rolls steadily down a slope: six equal wheels, no terrain, no rover between them.
 """
 
 import math
@@ -23,9 +25,12 @@ from scipy.optimize import brentq
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
 from lunarsci.figure import INK, headline, legend_below, page
+from lunarsci.ranges import refuse
+from lunarsci.regolith.forces import closed_form_forces
 from lunarsci.regolith.soil import Soil, read_soil
-from lunarsci.reproduce.numbers import Answer, Number, judge, published_numbers, published_value
-from lunarsci.reproduce.soil import Rolling
+from lunarsci.regolith.traction import STEEPEST_DEG, sinkage_under_load
+from lunarsci.regolith.wheel import MAX_VALID_SLIP, Wheel
+from lunarsci.reproduce.numbers import Answer, Number, judged, published_value
 from lunarsci.twin.figures.panels import GOLD, LIMIT, draw_ground, draw_planned, map_window
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
@@ -36,6 +41,7 @@ from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.ensemble import Prediction, predict
 
 SOIL, STAND_IN = "longji", "stand-in"
+PHI, K_Y = "friction_angle_deg", "lateral_modulus_mm"
 PHI_DEG, K_Y_MM = (25.0, 55.0), (15.0, 45.0)
 """The published range of the sweep: Ding et al. (2024), 10.1038/s41467-024-46233-8, Fig. S6."""
 VALUES = 7
@@ -48,8 +54,55 @@ VIEW_M = 0.69
 """Height of the spectrometer, which looks down at 45 deg (Ding et al. 2024), and so sees so far ahead."""
 FRONT_M = 0.75
 """Half of the assumed 1.5 m of the rover, its origin to its front."""
-ON_STAND_IN = "synthetic stand-in for the ground of Longji"
 DEM = "the elevation model of Longji is not public"
+
+
+@dataclass(frozen=True, slots=True)
+class Rolling:
+    """A rover whose wheels share its weight equally and hold it back or push it alike, reading `signed`.
+
+    Attributes
+    ----------
+    wheel : of the rover.
+    weight_n : of the rover on each wheel, > 0. [N]
+    """
+
+    wheel: Wheel
+    weight_n: float
+
+    @classmethod
+    def of(cls, rover: Rover) -> "Rolling":
+        """The mean wheel of a rover."""
+        return cls(rover.wheel, rover.mass_kg * rover.gravity_m_s2 / len(rover.wheels))
+
+    def surplus_n(self, soil: Soil, slope_deg: float, slip_ratio: float) -> float:
+        """Force along a slope, downhill positive, that speeds a wheel up at a slip ratio; 0 in steady rolling. [N]"""
+        slope = math.radians(slope_deg)
+        sinkage = sinkage_under_load(self.wheel, soil, self.weight_n * math.cos(slope), slip_ratio)
+        pull = closed_form_forces(self.wheel, soil, sinkage, slip_ratio).drawbar_pull_n
+        return float(pull) + self.weight_n * math.sin(slope)
+
+    def slip_ratio(self, soil: Soil, slope_deg: float) -> float:
+        """Slip ratio of steady rolling down a slope, negative for skid. [-]
+
+        Raises ParameterError where no slip within 0.6 balances the weight.
+        """
+        wheel = f"{self.weight_n:.1f} N a wheel"
+        text = f"no slip within {MAX_VALID_SLIP} lets {wheel} roll steadily down {slope_deg:g} deg"
+        return _root(lambda slip: self.surplus_n(soil, slope_deg, slip), MAX_VALID_SLIP, text)
+
+    def slope_deg(self, soil: Soil, slip_ratio: float) -> float:
+        """Slope down which a wheel rolls steadily at a slip ratio; negative is uphill. [deg]
+
+        Raises ParameterError where none within 45 deg does.
+        """
+        text = f"on no slope within {STEEPEST_DEG:g} deg {self.weight_n:.1f} N a wheel roll at a slip of {slip_ratio:g}"
+        return _root(lambda slope: self.surplus_n(soil, slope, slip_ratio), STEEPEST_DEG, text)
+
+
+def _root(function: Callable[[float], float], reach: float, text: str) -> float:
+    refuse({f"{text}; take another rover or soil": function(-reach) * function(reach) > 0})
+    return float(brentq(function, -reach, reach, xtol=1e-9))
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,10 +148,7 @@ def predicted_drives(rover: Rover | None = None, progress: Callable[[int, int], 
     progress : called with pieces of ground done and in all.
     """
     driver, plan, grounds = rover or build_rover("yutu2"), read_plan(), _grounds()
-    sweep = (
-        Sweep("friction_angle_deg", *PHI_DEG, VALUES),
-        Sweep("lateral_modulus_mm", *K_Y_MM, VALUES),
-    )
+    sweep = Sweep(PHI, *PHI_DEG, VALUES), Sweep(K_Y, *K_Y_MM, VALUES)
     on = {}
     for number, (name, terrain) in enumerate(grounds.items(), 1):
         on[name] = predict(driver, terrain, plan, sweep=sweep, ruts=False)
@@ -119,67 +169,59 @@ def medians(prediction: Prediction, quantity: str, parameter: str) -> dict[float
     }
 
 
-def _example(drives: Drives, of: Callable[[Prediction], float], reason: str, *, ranged: bool = True) -> Answer:
+def _example(drives: Drives, of: Callable[[Prediction], float], reason: str) -> Answer:
     """The value on the stand-in, with the range over all grounds; not judged."""
     values = {name: of(prediction) for name, prediction in drives.on.items() if prediction.finished.any()}
     on_planes = ", ".join(f"{name} {value:.3g}" for name, value in values.items() if name != STAND_IN)
     return Answer(
         value=values[STAND_IN],
         determined=False,
-        low=min(values.values()) if ranged else None,
-        high=max(values.values()) if ranged else None,
-        reading=ON_STAND_IN,
-        reason=f"{reason}; on planes: {on_planes}" if ranged else reason,
+        low=min(values.values()),
+        high=max(values.values()),
+        reading="synthetic stand-in for the ground of Longji",
+        reason=f"{reason}; on planes: {on_planes}",
     )
 
 
-def _path(plan: Plan) -> dict[str, Callable[[], Answer]]:
-    def rock() -> Answer:
-        x, y, heading = planned_pose(plan, plan.length_m)
-        reach = FRONT_M + VIEW_M
-        chord = math.hypot(x - plan.x_m, y - plan.y_m)
-        return Answer(
-            value=math.hypot(
-                x + reach * math.cos(heading) - plan.x_m,
-                y + reach * math.sin(heading) - plan.y_m,
-            ),
-            reading="at the end of the arcs the spectrometer sees the rock",
-            reason=f"the arcs end {chord:.2f} m from their start; {VIEW_M} m ahead of the front, which is "
-            f"{FRONT_M} m ahead of the origin (assumed); a straight approach of unpublished length is not counted",
-        )
-
-    length = math.fsum(leg.length_m for leg in plan.legs)
-    lengths = " + ".join(f"{leg.length_m:g}" for leg in plan.legs)
+def _path(plan: Plan) -> dict[str, Answer]:
+    x, y, heading = planned_pose(plan, plan.length_m)
+    end, reach = np.array([x - plan.x_m, y - plan.y_m]), FRONT_M + VIEW_M
+    slope = Answer(value=None, reason=f"{DEM}; the stand-in is built to have this slope")
     return {
-        "path-length": lambda: Answer(value=length, reason=f"{lengths} m"),
-        "rock-distance": rock,
-        "slope-most": lambda: Answer(value=None, reason=f"{DEM}; the stand-in is built to have this slope"),
-        "slope-end": lambda: Answer(value=None, reason=f"{DEM}; the stand-in is built to have this slope"),
+        "path-length": Answer(
+            value=math.fsum(leg.length_m for leg in plan.legs),
+            reason=f"{' + '.join(f'{leg.length_m:g}' for leg in plan.legs)} m",
+        ),
+        "rock-distance": Answer(
+            value=math.hypot(*(end + reach * np.array([math.cos(heading), math.sin(heading)]))),
+            reading="at the end of the arcs the spectrometer sees the rock",
+            reason=f"the arcs end {math.hypot(*end):.2f} m from their start; {VIEW_M} m ahead of the front, which is "
+            f"{FRONT_M} m ahead of the origin (assumed); a straight approach of unpublished length is not counted",
+        ),
+        "slope-most": slope,
+        "slope-end": slope,
     }
 
 
-def _slip(drives: Drives) -> dict[str, Callable[[], Answer]]:
+def _slip(drives: Drives) -> dict[str, Answer]:
     weak, strong = PHI_DEG
-
-    def weak_soil() -> Answer:
-        slope = Rolling.of(drives.rover).slope_deg(_soil(weak), published_value("slip-25deg"))
-        skid = {phi: _skid_share(drives.stand_in, phi) for phi in PHI_DEG}
-        return _example(
+    slope = Rolling.of(drives.rover).slope_deg(_soil(weak), published_value("slip-25deg"))
+    skid = {phi: _skid_share(drives.stand_in, phi) for phi in PHI_DEG}
+    return {
+        "slip-25deg": _example(
             drives,
-            lambda prediction: medians(prediction, "slip_ratio", "friction_angle_deg")[weak],
+            lambda prediction: medians(prediction, "slip_ratio", PHI)[weak],
             f"the slope along the path sets it, and {DEM}; -0.035 takes steady rolling down {slope:.1f} deg; on the "
             f"stand-in {100 * skid[weak]:.0f} % of the wheel states skid at {weak:g} deg, {100 * skid[strong]:.0f} % "
             f"at {strong:g} deg",
-        )
-
-    def least() -> Answer:
-        return _example(
+        ),
+        "slip-55deg": _strong_soil(drives),
+        "slip-least": _example(
             drives,
             lambda prediction: float(along(prediction, "slip_ratio")[prediction.reached].min()),
             f"the steepest ground sets it, and {DEM}",
-        )
-
-    return {"slip-25deg": weak_soil, "slip-55deg": lambda: _strong_soil(drives), "slip-least": least}
+        ),
+    }
 
 
 def _soil(phi_deg: float, **values: float) -> Soil:
@@ -187,7 +229,7 @@ def _soil(phi_deg: float, **values: float) -> Soil:
 
 
 def _skid_share(prediction: Prediction, phi_deg: float) -> float:
-    members = prediction.parameters["friction_angle_deg"] == phi_deg
+    members = prediction.parameters[PHI] == phi_deg
     return float((along(prediction, "slip_ratio")[members][prediction.reached[members]] < 0).mean())
 
 
@@ -201,7 +243,7 @@ def _strong_soil(drives: Drives) -> Answer:
 
     corners = [there(**dict(zip(CORNERS, pair, strict=True)))[1] for pair in product(*CORNERS.values())]
     slope, slip = there()
-    ends = medians(drives.stand_in, "slip_ratio", "friction_angle_deg")
+    ends = medians(drives.stand_in, "slip_ratio", PHI)
     return Answer(
         value=slip,
         low=min(corners),
@@ -224,50 +266,45 @@ def _turn(rolling: Rolling) -> float:
     return float(brentq(rise, 0.0, 20.0, xtol=1e-3))
 
 
-def _side_slip(drives: Drives) -> dict[str, Callable[[], Answer]]:
-    by_modulus = medians(drives.stand_in, "side_slip_deg", "lateral_modulus_mm")
+def _side_slip(drives: Drives) -> dict[str, Answer]:
+    by_modulus = medians(drives.stand_in, "side_slip_deg", K_Y)
     ratio = by_modulus[K_Y_MM[1]] / by_modulus[K_Y_MM[0]]
     published = published_value("side-slip-45mm") / published_value("side-slip-15mm")
+    reason = (
+        f"the slope across the path sets it, and {DEM}; it grows with K_y as published, {ratio:.2f} times from "
+        f"15 to 45 mm where {published:.2f} times are published"
+    )
 
     def at(modulus: float) -> Answer:
-        return _example(
-            drives,
-            lambda one: medians(one, "side_slip_deg", "lateral_modulus_mm")[modulus],
-            f"the slope across the path sets it, and {DEM}; it grows with K_y as published, {ratio:.2f} times from "
-            f"15 to 45 mm where {published:.2f} times are published",
-        )
+        return _example(drives, lambda one: medians(one, "side_slip_deg", K_Y)[modulus], reason)
 
-    return {f"side-slip-{modulus:g}mm": lambda modulus=modulus: at(modulus) for modulus in K_Y_MM}  # type: ignore[misc]
+    return {f"side-slip-{modulus:g}mm": at(modulus) for modulus in K_Y_MM}
 
 
-def _ends(drives: Drives) -> dict[str, Callable[[], Answer]]:
+def _ends(drives: Drives) -> dict[str, Answer]:
     parameters = drives.stand_in.parameters
-    typical = (parameters["friction_angle_deg"] == TYPICAL_PHI_DEG) & (
-        parameters["lateral_modulus_mm"] == TYPICAL_K_Y_MM
-    )
+    typical = (parameters[PHI] == TYPICAL_PHI_DEG) & (parameters[K_Y] == TYPICAL_K_Y_MM)
     unknown = "the path of the return, its ground and the soil identified for it are not published"
     return {
-        "ends-within": lambda: _example(
+        "ends-within": _example(
             drives, lambda one: float(one.miss_m[one.finished].max()), f"{DEM}, nor are the rover's dimensions"
         ),
-        "arrival": lambda: _example(
+        "arrival": _example(
             drives,
             lambda one: float(one.miss_m[typical][0]),
             f"measured on the Moon; the example is the prediction for phi = {TYPICAL_PHI_DEG:g} deg, "
             f"K_y = {TYPICAL_K_Y_MM:g} mm",
         ),
-        "return-identified": lambda: Answer(value=None, reason=unknown),
-        "return-typical": lambda: Answer(value=None, reason=unknown),
+        "return-identified": Answer(value=None, reason=unknown),
+        "return-typical": Answer(value=None, reason=unknown),
     }
 
 
 def drive_numbers(drives: Drives) -> list[Number]:
     """Every number of the drive beside ours, in the order of the table."""
-    answers = _path(drives.plan) | _slip(drives) | _side_slip(drives) | _ends(drives)
-    return [judge(row, answers[row["id"]]()) for row in published_numbers("drive")]
+    return judged("drive", _path(drives.plan) | _slip(drives) | _side_slip(drives) | _ends(drives))
 
 
-PHI, K_Y = "friction_angle_deg", "lateral_modulus_mm"
 SYMBOLS = {PHI: ("φ", "°"), K_Y: ("K$_y$", " mm")}
 NAMES = {"slip_ratio": "slip ratio [-]  (negative: skid)", "side_slip_deg": "side slip angle |β| [°]"}
 PUBLISHED = {
@@ -311,7 +348,6 @@ def _fans(prediction: Prediction) -> Figure:
 
 
 def _scale(values: FloatArray) -> Any:
-
     # Beyond 0.88 colours would be too light on paper.
     colors = ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.88, 256)))
     return ScalarMappable(Normalize(float(values.min()), float(values.max())), colors)

@@ -17,10 +17,9 @@ from lunarsci.regolith.prior import prior_hash
 from lunarsci.regolith.soil import soil_hash
 from lunarsci.regolith.wheel import read_wheel
 from lunarsci.reproduce.drive import SOIL, Drives, drive_numbers, drive_pages, predicted_drives
-from lunarsci.reproduce.figure_soil import soil_pages
 from lunarsci.reproduce.numbers import VERDICTS, Number, published_hash
 from lunarsci.reproduce.requests import WORK, ReproduceRequest
-from lunarsci.reproduce.soil import soil_numbers
+from lunarsci.reproduce.soil import soil_numbers, soil_pages
 from lunarsci.reproduce.spectra import TABLES, Rocks, boulders, fit_rocks, spectra_numbers, spectra_pages
 from lunarsci.result import MadeFrom, Progress, Result
 from lunarsci.rovers import RoverDescription, read_rover

@@ -1,12 +1,12 @@
 """Published numbers, what is found for them, and the verdict."""
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from lunarsci.io.tables import table_hashes, table_rows
 
 TABLE = "published.csv"
-PARTS = ("spectra", "soil", "drive")
 REPRODUCED, NAMED = "reproduced", "reproduced under a named reading"
 CONSISTENT = "consistent with one free force"
 DIFFERS, OPEN = "differs", "not determined by what is published"
@@ -73,7 +73,7 @@ class Number:
 
     def to_dict(self) -> dict[str, object]:
         """Plain Python."""
-        return {name: getattr(self, name) for name in self.__slots__}
+        return asdict(self)
 
 
 def published_numbers(part: str) -> tuple[Mapping[str, str], ...]:
@@ -91,15 +91,16 @@ def published_hash() -> dict[str, str]:
     return table_hashes(TABLE, package=__package__)
 
 
+def judged(part: str, answers: Mapping[str, Answer]) -> list[Number]:
+    """Every number of a part beside what is found for it, in the order of the table."""
+    return [judge(row, answers[row["id"]]) for row in published_numbers(part)]
+
+
 def judge(row: Mapping[str, str], answer: Answer) -> Number:
     """A row of the table and what was found for it."""
     published, within = float(row["published"]), float(row["within"])
     return Number(
-        id=row["id"],
-        part=row["part"],
-        quantity=row["quantity"],
-        unit=row["unit"],
-        passage=row["passage"],
+        **{name: row[name] for name in ("id", "part", "quantity", "unit", "passage")},
         published=published,
         within=within,
         ours=answer.value,
@@ -114,12 +115,9 @@ def judge(row: Mapping[str, str], answer: Answer) -> Number:
 def _verdict(answer: Answer, published: float, within: float) -> str:
     if answer.value is None or not answer.determined:
         return OPEN
-    if abs(answer.value - published) > within or _outside(answer, published):
+    below, above = (-math.inf if answer.low is None else answer.low), (math.inf if answer.high is None else answer.high)
+    if abs(answer.value - published) > within or not below <= published <= above:
         return DIFFERS
     if answer.set_by_itself:
         return CONSISTENT
     return NAMED if answer.reading else REPRODUCED
-
-
-def _outside(answer: Answer, published: float) -> bool:
-    return (answer.low is not None and published < answer.low) or (answer.high is not None and published > answer.high)

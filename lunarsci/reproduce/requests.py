@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from lunarsci.errors import RequestError
+from lunarsci.ranges import refuse
 
 WORK = {"spectra": 5, "soil": 4, "drive": 2}
 """Rough share of the time, for progress."""
@@ -26,10 +27,13 @@ class ReproduceRequest:
     rover: str | None = None
 
     def __post_init__(self) -> None:
-        if self.parts == ("spectra",) and self.rover is not None:
-            raise RequestError(f"`rover` has no use with `part` {self.part}, where nothing drives; leave it out")
-        if self.rocks and "spectra" not in self.parts:
-            raise RequestError(f"`rocks` has no use with `part` {self.part}; give `part` spectra, or leave it out")
+        faults = {
+            f"`rover` has no use with `part` {self.part}, where nothing drives; leave it out":
+                self.parts == ("spectra",) and self.rover is not None,
+            f"`rocks` has no use with `part` {self.part}; give `part` spectra, or leave it out":
+                bool(self.rocks) and "spectra" not in self.parts,
+        }  # fmt: skip
+        refuse(faults, kind=RequestError)
 
     @property
     def parts(self) -> tuple[str, ...]:

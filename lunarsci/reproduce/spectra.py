@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError
 from lunarsci.figure import BLUE, VERMILION, headline
-from lunarsci.reproduce.numbers import Answer, Number, judge, published_numbers, published_value
+from lunarsci.ranges import refuse
+from lunarsci.reproduce.numbers import Answer, Number, judged, published_value
 from lunarsci.spectra.abundance.end_members import TABLE as END_MEMBERS
 from lunarsci.spectra.abundance.end_members import embedded_end_members
 from lunarsci.spectra.bands import SpectrumBands, measure_bands
@@ -34,7 +35,6 @@ from lunarsci.spectra.spectrum import Spectrum, savitzky_golay_operator
 SMOOTHED_POINTS = 41
 """Savitzky-Golay points of Ding et al. (2024)."""
 OLIVINE, PYROXENES = "OL M1-2", ("OPX 1", "CPX 1")
-NAMED = "rock"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,10 +57,8 @@ class Rocks:
 
 def boulders(spectra: Sequence[Spectrum]) -> list[Spectrum]:
     """Those with "rock" in their name, or all where none has it. Raises DataError for none."""
-    named = [spectrum for spectrum in spectra if NAMED in spectrum.id.lower()]
-    if not spectra:
-        raise DataError("no spectrum of a boulder; give at least one")
-    return named or list(spectra)
+    refuse({"no spectrum of a boulder; give at least one": not spectra}, kind=DataError)
+    return [spectrum for spectrum in spectra if "rock" in spectrum.id.lower()] or list(spectra)
 
 
 def fit_rocks(spectra: Sequence[Spectrum], progress: Callable[[int, int], None] | None = None) -> Rocks:
@@ -77,8 +75,8 @@ def fit_rocks(spectra: Sequence[Spectrum], progress: Callable[[int, int], None] 
     by_rock = fit_continua(spectra, lambda name: mgm_model(continuum=name), progress=report)
     smoothed = fit_spectra([_smoothed(spectrum) for spectrum in spectra], mgm_model())
     by_name = {name: _good([fits[name] for fits in by_rock]) for name in SPREAD_CONTINUA}
-    if not (by_name[DEFAULT_CONTINUUM] and _good(smoothed)):
-        raise DataError(f"none of the {len(spectra)} spectra of boulders can be fitted; see lunarsci spectra fit")
+    text = f"none of the {len(spectra)} spectra of boulders can be fitted; see lunarsci spectra fit"
+    refuse({text: not (by_name[DEFAULT_CONTINUUM] and _good(smoothed))}, kind=DataError)
     return Rocks(
         bands=tuple(measure_bands(spectrum) for spectrum in spectra),
         fits=by_name[DEFAULT_CONTINUUM],
@@ -113,7 +111,8 @@ def olivine_share(fit: MgmFit) -> float:
 TABLES = (END_MEMBERS, CRATERS)
 """Embedded tables that the numbers rest on."""
 LEAST_WO = 0.25
-"""Wo from which a clinopyroxene counts as high in calcium: above the pigeonites. Assumed."""
+"""Wo from which a clinopyroxene counts as high in calcium: that of augites, above pigeonites and subcalcic augites
+(Poldervaart & Hess 1951, J. Geol. 59, 472)."""
 ZHINYU = (-45.34, 176.15)
 """Its place in the abstract of Ding et al. (2024). [deg]"""
 MODE_SIGMA = 0.05
@@ -144,7 +143,7 @@ def high_calcium() -> FloatArray:
     return _centres("clinopyroxene", LEAST_WO)
 
 
-def _minerals() -> dict[str, Callable[[], Answer]]:
+def _minerals() -> dict[str, Answer]:
     def centre(values: FloatArray, name: str, more: str = "") -> Answer:
         finite = values[np.isfinite(values)]
         low, middle, high = (float(value) for value in np.percentile(finite, (2.5, 50, 97.5)))
@@ -154,19 +153,19 @@ def _minerals() -> dict[str, Callable[[], Answer]]:
     names = "orthopyroxenes", f"clinopyroxenes with Wo {100 * LEAST_WO:.0f} and more"
     longest = f"; the longest is {np.nanmax(rich[:, 0]):.0f} nm, and centres beyond it are those of olivine"
     return {
-        "lcp-1um": lambda: centre(poor[:, 0], names[0]),
-        "lcp-2um": lambda: centre(poor[:, 1], names[0]),
-        "hcp-1um": lambda: centre(rich[:, 0], names[1], longest),
-        "hcp-2um": lambda: centre(rich[:, 1], names[1]),
+        "lcp-1um": centre(poor[:, 0], names[0]),
+        "lcp-2um": centre(poor[:, 1], names[0]),
+        "hcp-1um": centre(rich[:, 0], names[1], longest),
+        "hcp-2um": centre(rich[:, 1], names[1]),
     }
 
 
-def _places() -> dict[str, Callable[[], Answer]]:
+def _places() -> dict[str, Answer]:
     where = "great circle from the rock, 45.44 S 177.56 E, to 45.34 S 176.15 E"
     return {
-        "zhinyu-distance": lambda: Answer(value=distance_km(CHANG_E_4, ZHINYU), reason=where),
-        "zhinyu-azimuth": lambda: Answer(value=azimuth_deg(CHANG_E_4, ZHINYU), reason=where),
-        "source-crater": _source,
+        "zhinyu-distance": Answer(value=distance_km(CHANG_E_4, ZHINYU), reason=where),
+        "zhinyu-azimuth": Answer(value=azimuth_deg(CHANG_E_4, ZHINYU), reason=where),
+        "source-crater": _source(),
     }
 
 
@@ -187,8 +186,9 @@ def _source() -> Answer:
         return match_rocks([_published_rock()], embedded_catalogue(), CHANG_E_4, MatchSettings(prior=prior))[0]
 
     default, undisturbed = matched(PriorSettings()), matched(PriorSettings(re_excavation=False))
-    ranks = [_rank(default), _rank(undisturbed)]
-    posterior = {item.crater.name: item.posterior for item in default.craters}
+    posterior, alone = ({one.crater.name: one.posterior for one in match.craters} for match in (default, undisturbed))
+    ranks = [sorted(each, key=lambda name: -each[name]).index("Zhinyu") + 1 for each in (posterior, alone)]
+    factors = [item.ln_bayes_factor for item in default.craters if not item.contains_site]
     return Answer(
         value=float(ranks[0]),
         determined=False,
@@ -196,23 +196,9 @@ def _source() -> Answer:
         high=float(max(ranks)),
         reading="buried ejecta are dug up again",
         reason="the modes of Zhinyu's ejecta are in the supplement, and composition hardly decides (ln Bayes factors "
-        f"within {_spread(default):.1f}); posterior Zhinyu {posterior['Zhinyu']:.2f}, Finsen "
-        f"{posterior['Finsen']:.2f}; if nothing buried came up again, Zhinyu {_posterior(undisturbed):.2f}",
+        f"within {max(factors) - min(factors):.1f}); posterior Zhinyu {posterior['Zhinyu']:.2f}, Finsen "
+        f"{posterior['Finsen']:.2f}; if nothing buried came up again, Zhinyu {alone['Zhinyu']:.2f}",
     )
-
-
-def _rank(match: RockMatch) -> int:
-    order = sorted(match.craters, key=lambda item: -item.posterior)
-    return [item.crater.name for item in order].index("Zhinyu") + 1
-
-
-def _posterior(match: RockMatch) -> float:
-    return next(item.posterior for item in match.craters if item.crater.name == "Zhinyu")
-
-
-def _spread(match: RockMatch) -> float:
-    factors = [item.ln_bayes_factor for item in match.craters if not item.contains_site]
-    return max(factors) - min(factors)
 
 
 def _opx(fits: Sequence[MgmFit]) -> float | None:
@@ -221,15 +207,15 @@ def _opx(fits: Sequence[MgmFit]) -> float | None:
     return 100.0 * float(np.mean(ratios)) if ratios else None
 
 
-def _boulders(rocks: Rocks | None) -> dict[str, Callable[[], Answer]]:
+def _boulders(rocks: Rocks | None) -> dict[str, Answer]:
     if rocks is None:
         nothing = Answer(value=None, reason=NO_SPECTRUM)
-        return {name: lambda: nothing for name in ("mgm-rms", "opx-share", "olivine-low", "olivine-high")}
+        return dict.fromkeys(("mgm-rms", "opx-share", "olivine-low", "olivine-high"), nothing)
     return {
-        "mgm-rms": lambda: _rms(rocks),
-        "opx-share": lambda: _share(rocks),
-        "olivine-low": lambda: _olivine(rocks, np.nanmin),
-        "olivine-high": lambda: _olivine(rocks, np.nanmax),
+        "mgm-rms": _rms(rocks),
+        "opx-share": _share(rocks),
+        "olivine-low": _olivine(rocks, np.nanmin),
+        "olivine-high": _olivine(rocks, np.nanmax),
     }
 
 
@@ -297,8 +283,7 @@ def spectra_numbers(rocks: Rocks | None = None) -> list[Number]:
     ----------
     rocks : fits of measured boulders; without them what rests on measured spectra is not determined.
     """
-    answers = _minerals() | _boulders(rocks) | _places()
-    return [judge(row, answers[row["id"]]()) for row in published_numbers("spectra")]
+    return judged("spectra", _minerals() | _boulders(rocks) | _places())
 
 
 PYROXENE_MARKS = (

@@ -13,9 +13,10 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal
 
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import DataError
 from lunarsci.io.documents import toml_of
 from lunarsci.names import meant
+from lunarsci.ranges import refuse
 
 WHEELS = "wheels.toml"
 DEFAULT_ROVER = "yutu2"
@@ -142,17 +143,19 @@ class MadeFor:
 
     def __post_init__(self) -> None:
         texts = {key: getattr(self, key) for key in ("rover", "name", "sha256", "ground")}
-        for key, value in (*texts.items(), *self.limits.items()):
-            number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-            if not (isinstance(value, str) if key in texts else number):
-                raise ParameterError(f"made_for {key} is {value!r}; give a {'text' if key in texts else 'number'}")
+        refuse(f"made_for {key} is {it!r}; give a text" for key, it in texts.items() if not isinstance(it, str))
+        refuse(
+            f"made_for {key} is {it!r}; give a number"
+            for key, it in self.limits.items()
+            if not isinstance(it, int | float) or isinstance(it, bool) or not math.isfinite(it)
+        )
 
     @classmethod
     def from_table(cls, table: Any) -> "MadeFor":
         """From a table with the keys `rover`, `name`, `sha256`, maybe `ground`, and limits. Raises ParameterError."""
         texts = ("rover", "name", "sha256")
-        if not isinstance(table, Mapping) or any(key not in table for key in texts):
-            raise ParameterError(f"made_for must be a table with {', '.join(texts)}")
+        whole = isinstance(table, Mapping) and {*texts} <= {*table}
+        refuse({f"made_for must be a table with {', '.join(texts)}": not whole})
         limits = {str(key): value for key, value in table.items() if key not in (*texts, "ground")}
         return cls(table["rover"], table["name"], table["sha256"], limits, table.get("ground", ""))
 

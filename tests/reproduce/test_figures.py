@@ -12,9 +12,8 @@ from matplotlib.text import Text
 from lunarsci.figure import name_points
 from lunarsci.regolith.wheel import read_wheel
 from lunarsci.reproduce.drive import Drives, drive_pages
-from lunarsci.reproduce.figure_soil import histograms, soil_pages
 from lunarsci.reproduce.numbers import published_value
-from lunarsci.reproduce.soil import soil_numbers
+from lunarsci.reproduce.soil import histograms, soil_numbers, soil_pages
 from lunarsci.reproduce.spectra import fit_rocks, spectra_pages
 from lunarsci.spectra.spectrum import Spectrum
 from lunarsci.spectra.vnis.simulation.scene import Material, SceneComposition, surface_reflectance
@@ -30,7 +29,7 @@ def soil() -> list[Figure]:
 def curves(axes: object) -> Iterator[np.ndarray]:
     for line in axes.get_lines():  # type: ignore[attr-defined]
         points = np.column_stack([np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float)])
-        if len(points) > 10:
+        if len(points) > 10 and line.get_linestyle() != "None":
             yield points
 
 

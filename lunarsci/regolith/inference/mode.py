@@ -29,8 +29,9 @@ FINE, CONVERGED, ROUGH = 1e-9, 1e-4, 0.1
 """Tolerances of -2 ln posterior: of the soil that is told, of limits and totals, and while model errors are sought."""
 LONGEST = 2.0
 """Step, in standard deviations of the prior."""
-MOST_OUTLIERS = 0.2
-"""Share of the states that may be left out as outliers; from half of it on a fit is doubted. Assumed."""
+GROSS_ERRORS = 0.1
+"""Most gross errors of routine data, from 1 % on (Hampel, Ronchetti, Rousseeuw & Stahel 1986, Robust Statistics,
+10.1002/9781118186435, ch. 1.2): a fit with more outliers is doubted, and twice as many are left out at most. [-]"""
 FIRST_SHARE, ROUNDS, SETTLED = 0.2, 8, 0.05
 """Model error that the search for it begins with, large so that the way is smooth; fits at most; change of its
 logarithm that ends it."""
@@ -84,7 +85,7 @@ def mode_with_errors(problem: JointProblem, start: FloatArray | None = None) -> 
         part, point, _, freedom, each = fit(ROUGH)
         share, excess = common_share(part, point, freedom), _excess(each, point)
         # Of too many outliers only the worst are left out.
-        inliers = excess <= max(1.0, float(np.sort(excess)[::-1][int(MOST_OUTLIERS * len(excess))]))
+        inliers = excess <= max(1.0, float(np.sort(excess)[::-1][int(2 * GROSS_ERRORS * len(excess))]))
         if abs(math.log(share / before[0])) < SETTLED and (inliers == before[1]).all():
             break
     part, point, covariance, _, each = fit(FINE)
@@ -109,7 +110,7 @@ def mode_without_outliers(problem: JointProblem) -> Mode:
         point, covariance = find_mode(part_of(problem, inliers), point)
         excess = np.where(inliers, _excess(problem, point), 0.0)
         worst = int(np.argmax(excess))
-        if excess[worst] <= 1 or (~inliers).sum() + 1 > MOST_OUTLIERS * len(inliers):
+        if excess[worst] <= 1 or (~inliers).sum() + 1 > 2 * GROSS_ERRORS * len(inliers):
             return Mode(inliers, point, covariance, problem, problem)
         inliers[worst] = False
 

@@ -23,8 +23,8 @@ from lunarsci.io.inputs import InputFile
 from lunarsci.ranges import POSITIVE, check_each
 from lunarsci.regolith.inference.mode import predictive_densities
 from lunarsci.regolith.inference.posterior import SoilPosterior, fit_soil, law_name, usable_states
-from lunarsci.regolith.inference.problem import FORCES, forces_of_many, misfit_at, neighbours
-from lunarsci.regolith.prior import PARAMETERS, Law, contact_prior, default_prior, values_of
+from lunarsci.regolith.inference.problem import FORCES, MOST_STATES, forces_of_many, misfit_at, neighbours
+from lunarsci.regolith.prior import NINETY_FIVE, PARAMETERS, Law, contact_prior, default_prior, values_of
 from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates, check_values, read_state_table
 from lunarsci.regolith.traction import DEEPEST
 from lunarsci.regolith.wheel import DENSITY_KG_M3, SHEAR_LAWS, ContactModel, Wheel
@@ -32,13 +32,6 @@ from lunarsci.regolith.wheel import DENSITY_KG_M3, SHEAR_LAWS, ContactModel, Whe
 DRAWS = 200
 STEPS, SHALLOWEST = 24, 1e-4
 """Halvings to the sinkage under a load; the least one as a share of the radius."""
-MOST_COMPARED = 200
-"""States that laws are compared on, drawn from more, so that it takes seconds; assumed."""
-OPEN = 2.0
-"""Standard errors by which a law with known contact angles must predict better before they are taken as known; assumed.
-"""
-LEAST_CARRIED = 0.05
-"""Share of its load that a wheel carries at least where the model misses the normal force; assumed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,7 +107,7 @@ def predict_forces(
         missed = misfit.mean(soil)
         if given is None:
             missed_load = missed[:, 0] + share[:, 0] * random.standard_normal(load.shape)
-            carried = load * np.maximum(1.0 - missed_load, LEAST_CARRIED)
+            carried = load * np.maximum(1.0 - missed_load, 0.0)
             depth[k] = _under(soil, moved, carried, wheel, posterior)
         else:
             deep = given + errors.sinkage_m * random.standard_normal(load.shape)
@@ -122,7 +115,7 @@ def predict_forces(
         forces.append(_forces(soil, depth[k], moved, wheel, posterior) + missed * load[:, None])
     all_forces = np.stack(forces)
     missed = misfit.mean(best)
-    carried = load * np.maximum(1.0 - missed[:, 0], LEAST_CARRIED)
+    carried = load * np.maximum(1.0 - missed[:, 0], 0.0)
     here = _under(best, states[:, :2], carried, wheel, posterior) if given is None else given
     value = _forces(best, here, states[:, :2], wheel, posterior) + missed * load[:, None]
     scale = np.sqrt((posterior.tail - 2) / posterior.tail)
@@ -306,8 +299,9 @@ def compare_laws(
 ) -> tuple[WheelLaw, list[WheelLawScore]]:
     """The law to take, and the score of each, in the order given.
 
-    The first, that is simplest, whose score is within one standard error of the best; but states that cannot tell the
-    laws apart do not know the contact angles either, so that of laws within two the first is taken that leaves these
+    The first, that is simplest, whose score is within one standard error of the best (Breiman, Friedman, Olshen & Stone
+    1984, Classification and Regression Trees, 10.1201/9781315139470, ch. 3.4); but states that cannot tell the laws
+    apart do not know the contact angles either, so that of laws within 1.96, 95 %, the first is taken that leaves these
     open.
 
     Parameters
@@ -319,8 +313,8 @@ def compare_laws(
     Raises ParameterError where no law can be fitted.
     """
     usable = usable_states(states, wheel)
-    if usable.sum() > MOST_COMPARED:
-        some = np.random.default_rng(0).choice(np.flatnonzero(usable), MOST_COMPARED, replace=False)
+    if usable.sum() > MOST_STATES:
+        some = np.random.default_rng(0).choice(np.flatnonzero(usable), MOST_STATES, replace=False)
         usable = np.isin(np.arange(len(usable)), some)
     groups = neighbours(states.values[usable], wheel.radius_m)
     parts: list[FloatArray | None] = []
@@ -349,7 +343,7 @@ def compare_laws(
     def near(widths: float) -> list[WheelLaw]:
         return [score.law for score in scores if score.within(widths)]
 
-    return next((law for law in (*near(1), *near(OPEN)) if law.contact), near(1)[0]), scores
+    return next((law for law in (*near(1), *near(NINETY_FIVE)) if law.contact), near(1)[0]), scores
 
 
 def _score(

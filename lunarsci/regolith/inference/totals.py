@@ -25,7 +25,7 @@ from lunarsci.regolith.wheel import Wheel
 STEP = 1e-3
 """Of numerical derivatives by the inputs, in their standard errors."""
 MODEL_ERROR = 0.02
-"""Share of the load by which the model may miss each force, as in the joint inference; assumed."""
+"""Share of the load by which the model may miss each force; assumed."""
 NEWTON, FIRST_SINKAGE, SHALLOWEST, LEAST_POWER = 8, 0.05, 1e-6, 0.2
 """Steps to the sinkage under a load, where they begin and the least one in radii, and the least power of F_N in it."""
 ROUGH = 5.0

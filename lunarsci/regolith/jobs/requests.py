@@ -8,16 +8,10 @@ from typing import Literal
 
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import RequestError
+from lunarsci.ranges import refuse
 from lunarsci.regolith.wheel import DENSITY_KG_M3, Bulldozing, ShearLaw, ShearSign, SlipSinkageLaw
 
 MOST_SLIPS = 10_000
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError as error:
-        raise RequestError(f"'{text}' is no slip; give a number, or FIRST:LAST:N") from error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,30 +76,30 @@ class WheelForcesRequest:
     reece_frictional: float | None = None
 
     def __post_init__(self) -> None:
-        if (self.sinkage is None) == (self.load is None):
-            raise RequestError("give either `sinkage` or `load`")
+        faults = {
+            "give either `sinkage` or `load`": (self.sinkage is None) == (self.load is None),
+            "`slip_sinkage` needs `load`, and a slip of 0 or more; skid has no such law":
+                self.slip_sinkage != "none" and (self.load is None or min(self.slips()) < 0),
+            "`reece_cohesive` and `reece_frictional` go together; give both":
+                (self.reece_cohesive is None) != (self.reece_frictional is None),
+            "K_s comes from `stiffness` or from Reece's moduli; give one":
+                self.reece_cohesive is not None and self.stiffness is not None,
+        }  # fmt: skip
+        refuse(faults, kind=RequestError)
         if isinstance(self.slip, str) and ":" not in self.slip:
-            object.__setattr__(self, "slip", _number(self.slip))
-        if self.slip_sinkage != "none" and (self.load is None or min(self.slips()) < 0):
-            raise RequestError("`slip_sinkage` needs `load`, and a slip of 0 or more; skid has no such law")
-        if (self.reece_cohesive is None) != (self.reece_frictional is None):
-            raise RequestError("`reece_cohesive` and `reece_frictional` go together; give both")
-        if self.reece_cohesive is not None and self.stiffness is not None:
-            raise RequestError("K_s comes from `stiffness` or from Reece's moduli; give one")
+            object.__setattr__(self, "slip", self.slips()[0])
 
     def slips(self) -> list[float]:
         """Slips that were asked for, in order. Raises RequestError."""
-        if isinstance(self.slip, float | int):
-            return [float(self.slip)]
-        parts = self.slip.split(":")
-        if len(parts) != 3:
-            raise RequestError(f"`slip` is '{self.slip}'; give a number, or FIRST:LAST:N")
-        first, last, count = _number(parts[0]), _number(parts[1]), _number(parts[2])
-        if not (first < last and count == int(count) and 2 <= count <= MOST_SLIPS):
-            raise RequestError(
-                f"`slip` is '{self.slip}'; give FIRST:LAST:N with FIRST below LAST and N from 2 to {MOST_SLIPS}"
-            )
-        shares = [k / (int(count) - 1) for k in range(int(count))]
+        try:
+            first, *rest = map(float, str(self.slip).split(":"))
+            last, count = rest or (first, 1)
+            if rest and not (first < last and 2 <= count <= MOST_SLIPS and count == int(count)):
+                raise ValueError
+        except ValueError as error:
+            ways = f"a number, or FIRST:LAST:N with FIRST below LAST and N from 2 to {MOST_SLIPS}"
+            raise RequestError(f"`slip` is '{self.slip}'; give {ways}") from error
+        shares = [k / max(int(count) - 1, 1) for k in range(int(count))]
         return [first * (1.0 - share) + last * share for share in shares]
 
     @property
@@ -203,12 +197,13 @@ class InferRequest(IdentifyRequest):
     predict_rover: str | None = None
 
     def __post_init__(self) -> None:
-        if self.sample and self.profile:
-            raise RequestError("`sample` and `profile` are two ways to the intervals; give one")
-        if self.reading != "signed":
-            raise RequestError(f"`reading` {self.reading} only reproduces numbers; this needs signed")
-        if self.law == "auto" and (self.exact or self.beyond):
-            raise RequestError("`law` auto chooses itself; leave out `exact`, `shear`, `bulldozing` and `contact`")
+        faults = {
+            "`sample` and `profile` are two ways to the intervals; give one": self.sample and self.profile,
+            f"`reading` {self.reading} only reproduces numbers; this needs signed": self.reading != "signed",
+            "`law` auto chooses itself; leave out `exact`, `shear`, `bulldozing` and `contact`":
+                self.law == "auto" and (self.exact or self.beyond),
+        }  # fmt: skip
+        refuse(faults, kind=RequestError)
 
     def chooses(self, computed: bool) -> bool:
         """Whether the law is chosen by how it predicts, for forces that were measured or computed of a motion."""

@@ -231,7 +231,7 @@ def test_priors_of_a_file_take_the_place_of_the_default_ones() -> None:
         (b"[cohesion_pa]\nmedian = -1\nsd = 1\n", "prior's median is -1"),
         (b"[cohesion_pa]\nmedian = 1\n", "cohesion_pa"),
         (b"[friction_angle_deg]\nmedian = 95\nsd = 1\n", "above 0, below 90"),
-        (b"[cohesion_pa]\nof = 'sqrt'\nmedian = 1\nsd = 1\n", "unknown"),
+        (b"[cohesion_pa]\nof = 'sqrt'\nmedian = 1\nsd = 1\n", "not a transform"),
     ],
 )
 def test_priors_that_make_no_sense_are_refused(text: bytes, message: str) -> None:
