@@ -287,7 +287,8 @@ RELATIVE = (*(f"rotation_{axis}_rad" for axis in "xyz"), *(f"translation_{axis}_
 PARAMETERS = (*(f"left_{n}" for n in INTRINSICS), *(f"right_{n}" for n in INTRINSICS), *RELATIVE)
 """What a rig depends on: rows and columns of its covariance."""
 MAST_M = 1.5
-"""Height of a camera whose rig does not say: assumed. [m]"""
+"""Height of a camera whose rig does not say: about that of the mast cameras of MER, 1.54 m (Maki et al. 2003,
+10.1029/2003JE002077). [m]"""
 PIXEL_MTF = 2 / math.pi
 """Contrast that a square pixel leaves at half a cycle a pixel. [-]"""
 

@@ -25,12 +25,12 @@ from lunarsci.io.tables import numbers_of, read_csv_table
 ROCK_COLUMNS = ("x_m", "y_m", "z_m", "a_m", "b_m", "c_m", "turn_deg")
 """Columns of a landscape's rocks: middle, half axes along and across, half height, direction of the first axis."""
 HURST = 0.8
-"""Roughness exponent of regolith: Helfenstein & Shepard (1999), Icarus 141, 107, 10.1006/icar.1999.6160 (0.5-0.7 at
-millimetres; 0.8 assumed between)."""
-RMS_AT_METRE_M = 0.02
-"""Rms height of wavelengths up to a metre: assumed. [m]"""
-MOTTLING = 0.05
-"""Rms of the reflectance over its mean from place to place: assumed. [-]"""
+"""Roughness exponent of regolith: between 0.5 to 0.7 at millimetres (Helfenstein & Shepard 1999, Icarus 141, 107,
+10.1006/icar.1999.6160) and 0.76 of maria to 0.95 of highlands from 17 m on (Rosenburg et al. 2011, J. Geophys. Res.
+116, E02001, 10.1029/2010JE003716)."""
+RMS_AT_METRE_M, MOTTLING = 0.02, 0.05
+"""Rms height of wavelengths up to a metre [m], on which `roughness` is a factor, and of the reflectance over its mean
+from place to place [-]: assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
