@@ -202,15 +202,15 @@ def _upright(fitted: LabelCamera, content: str) -> LabelCamera:
 
 def _cahv_of(name: str, content: str) -> CahvModel:
     vectors = _components(content)
-    if not {"C", "A", "H", "V"} <= vectors.keys():
-        raise DataError(f"{name}: no camera model; a label needs C, A, H and V, or the pointing of a PDS4 label")
     width = _first_number(content, ("LINE_SAMPLES", "xdim", "NS"))
     height = _first_number(content, ("LINES", "ydim", "NL"))
     halves = {"O", "R"} & vectors.keys()
     reasons = {
+        "no camera model; a label needs C, A, H and V, or the pointing of a PDS4 label":
+            not {"C", "A", "H", "V"} <= vectors.keys(),
         f"a CAHVOR model needs O and R, not {''.join(halves)} alone": len(halves) == 1,
         "the size of the picture is missing; add LINES = … and LINE_SAMPLES = …": width is None or height is None,
-    }
+    }  # fmt: skip
     refuse((reason for reason, applies in reasons.items() if applies), name, DataError)
     kind = _first_number(content, ("MODEL_TYPE_PARAMETER", "MPARM", "T"))
     vectors["O"] = vectors["O"] / np.linalg.norm(vectors["O"]) if "O" in vectors else vectors["A"]

@@ -507,10 +507,9 @@ def _read_from(name: str, form: str) -> Iterator[None]:
         yield
     except DataError:
         raise
-    except KeyError as error:
-        raise DataError(f"{name}: no {error.args[0]}; {form}") from error
-    except (TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise DataError(f"{name}: {error}") from error
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        lacks = f"no {error.args[0]}; {form}" if isinstance(error, KeyError) else str(error)
+        raise DataError(f"{name}: {lacks}") from error
 
 
 class SingleCamera(NamedTuple):

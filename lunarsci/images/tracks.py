@@ -17,8 +17,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lunarsci.arrays import SIGNIFICANCE, BoolArray, FloatArray, IndexArray, robust_fit, robust_scatter
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import ParameterError
 from lunarsci.images.elevation import ElevationModel
+from lunarsci.images.gridding import COVERED
 from lunarsci.io.inputs import read_input, read_json
 
 
@@ -48,22 +49,17 @@ class Unrolled(NamedTuple):
 def read_line(given: str) -> FloatArray:
     """Corners of a line: x1,y1,x2,y2,... as text, or a GeoJSON file with a LineString. (n, 2) [m]
 
-    Raises ParameterError for what is no line, DataError for a file without one.
+    Raises ParameterError for what is no line, DataError for a file that cannot be read.
     """
+    line: Any = given.split(",")
+    if given.lower().endswith((".json", ".geojson")):
+        line = next(_line_strings(read_json(read_input(given), "a GeoJSON line", lambda content: content)), [])
     try:
-        if given.lower().endswith((".json", ".geojson")):
-            line = next(_line_strings(read_json(read_input(given), "a GeoJSON line", lambda content: content)), None)
-            if line is None:
-                raise DataError(f"{given}: no LineString in it; draw the track as one line")
-            points = np.array([point[:2] for point in line], dtype=float)
-        else:
-            points = np.array([float(part) for part in given.split(",")]).reshape(-1, 2)
-    except DataError:
-        raise
+        points = np.array([part[:2] if isinstance(part, list) else part for part in line], dtype=float).reshape(-1, 2)
     except (TypeError, ValueError):
         points = np.empty((0, 2))
     steps = np.linalg.norm(np.diff(points, axis=0), axis=-1)
-    if points.shape[1:] != (2,) or len(points) < 2 or not (np.isfinite(points).all() and (steps > 0).all()):
+    if len(points) < 2 or not (np.isfinite(points).all() and (steps > 0).all()):
         raise ParameterError(
             f"'{given}' is no line; give x1,y1,x2,y2,... in m, or a GeoJSON file with a LineString: two corners or "
             "more, each in another place than the one before"
@@ -215,10 +211,6 @@ def kriged(
 
 FLOOR_SHARE = 0.6
 """Share of the wheel's width, about the middle, that is taken as floor: walls slide in at the sides; assumed."""
-COVERED = 0.5, 0.3
-"""Share of the nodes of the floor, and of the ground at each side, that must be known; assumed."""
-LEAST_GAIN = 0.75
-"""Share of the depth that the matching window must leave in the floor's mean; below, nothing is determined; assumed."""
 RESOLUTION_OFF = 0.3
 """Relative error of the resolution; assumed."""
 FEWEST_SHAMS = 8
@@ -320,10 +312,10 @@ def _one_depth(survey: "_Survey", nodes: Unrolled, middle: float, profile: Track
     floor = np.abs(left) <= profile.floor_m
     sides = [(sign * left >= inner) & (sign * left <= outer) for sign in (-1.0, 1.0)]
     whole = survey.window_m / survey.model.spacing_m**2
-    if floor.sum() < COVERED[0] * whole * 2 * profile.floor_m:
+    if floor.sum() < COVERED * whole * 2 * profile.floor_m:
         return np.nan, np.nan, "floor not covered"
     for side, name in zip(sides, ("right", "left"), strict=True):
-        if side.sum() < COVERED[1] * whole * profile.strip_m:
+        if side.sum() < COVERED * whole * profile.strip_m:
             return np.nan, np.nan, f"ground to the {name} not covered"
     alike = max(1.0, (survey.resolution_m / survey.model.spacing_m) ** 2)
     cells = cells_of(nodes, sides[0] | sides[1], survey.cell_m, alike)
@@ -489,7 +481,7 @@ def _measured(
     gain = profile.gain(survey.resolution_m)
     depth, error, reason = survey.depths(middles, profile)
     depth, error = depth / gain, error / gain
-    if gain < LEAST_GAIN:
+    if survey.resolution_m > profile.width_m:
         depth[:] = error[:] = np.nan
         reason = [f"matching blurs over {survey.resolution_m:.3g} m, too wide for this wheel"] * len(reason)
     progress(1, 3)

@@ -23,7 +23,6 @@ from lunarsci.spectra.vnis.detector import (
     WAVELENGTHS,
     DetectorSpectrum,
     Settings,
-    check_jumps,
     default_settings,
     irradiance_at,
     measure,
@@ -307,7 +306,6 @@ def _measured(
             item = measure(detector, label, retained, mean_error, irradiance, correction)
     except ParameterError as error:
         raise DataError(f"{id}: {error}") from error
-    check_jumps(id, detector.upper(), item.wavelength_nm, item.observed)
     for doubt in channel_doubts(detector, wavelength, item.radiance, irradiance, item.observed):
         notes.doubt(doubt)
     return item

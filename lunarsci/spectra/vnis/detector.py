@@ -265,9 +265,6 @@ _FAR: dict[Detector, float] = {"vnir": 0.3, "swir": 0.12}
 0.09 in SWIR, 409 laboratory spectra at 5 nm up to 0.07 and 0.03. [-]"""
 _FAR_MEDIANS, _SCATTER = 9.0, 15
 """In noise, this many times the median of so many channels on either side: six standard deviations. Assumed."""
-_JUMP = 0.3
-"""ln R of blocks of five channels; measured: 88 Chang'E-4 spectra have up to 0.27, at 635 nm. [-]"""
-_SIDE = 5
 
 
 def outlying(detector: Detector, reflectance: FloatArray) -> BoolArray:
@@ -292,19 +289,3 @@ def outlying(detector: Detector, reflectance: FloatArray) -> BoolArray:
     nearby = np.lib.stride_tricks.sliding_window_view(np.pad(off, beside, mode="reflect"), 2 * beside + 1)
     far[finite] = off > np.maximum(_FAR[detector], _FAR_MEDIANS * np.median(nearby, axis=1))
     return np.asarray(absurd | far, dtype=np.bool_)
-
-
-def check_jumps(id: str, name: str, wavelength_nm: FloatArray, reflectance: FloatArray) -> None:
-    """Raise DataError where five channels and the next five differ by more than a third: blocks of another scale."""
-    finite = np.flatnonzero(np.isfinite(reflectance))
-    if finite.size < 2 * _SIDE:
-        return
-    middle = np.median(np.lib.stride_tricks.sliding_window_view(np.log(reflectance[finite]), _SIDE), axis=1)
-    jump = np.abs(middle[_SIDE:] - middle[:-_SIDE])
-    worst = int(jump.argmax())
-    if jump[worst] > _JUMP:
-        place = wavelength_nm[finite[worst + _SIDE]]
-        share = 100 * (np.exp(jump[worst]) - 1)
-        raise DataError(
-            f"{id}: {name} jumps by {share:.0f} % near {place:g} nm, which no rock does; fetch its data file again"
-        )

@@ -250,12 +250,7 @@ REFUSED: dict[str, tuple[Callable[[Files], None], str]] = {
     ),
     "rover off the Moon": (in_label("VD", r"(<latitude[^>]*>)[^<]*", r"\g<1>-145.0"), "VD_SCI.*angle, time or p"),
     "cube with a hole of zeros": (in_cube(lambda c: hole(c)), "no usable image from 900 nm on|VNIR .* no usable"),
-    "cube of other channels' brightness": (in_cube(lambda c: scaled(c, slice(20, 41), 10)), "VNIR jumps by"),
     "cube with axes swapped": (in_cube(lambda c: c.transpose(1, 2, 0).copy()), "all images are equally bright"),
-    "table with rows of another scale": (
-        in_table(lambda rows: [r.replace("E-003", "E-002") if 100 <= k < 155 else r for k, r in enumerate(rows)]),
-        "SWIR jumps by",
-    ),
     "table with digits of another script": (
         in_table(column(4, 9, "٤.٤")),
         "column 'radiance': '٤.٤' is not a number",
@@ -389,6 +384,12 @@ MASKED: dict[str, tuple[Callable[[Files], None], str, int]] = {
         ),
         "3 SWIR channels are saturated",
         3,
+    ),
+    "cube of other channels' brightness": (in_cube(lambda c: scaled(c, slice(20, 41), 10)), "VNIR changes by", -1),
+    "table with rows of another scale": (
+        in_table(lambda rows: [r.replace("E-003", "E-002") if 100 <= k < 155 else r for k, r in enumerate(rows)]),
+        "SWIR changes by",
+        -1,
     ),
     "table upside down": (in_table(reversed_radiance), "VNIR to SWIR differs by", -1),
     "an image flagged": (
