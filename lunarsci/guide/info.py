@@ -86,12 +86,13 @@ def is_envi_of_heights(name: str) -> bool:
 def is_table_of_heights(file: InputFile, start: str) -> bool:
     """Whether a text is a grid of heights, or has a row for each node."""
     from lunarsci.heights.texts import node_columns
+    from lunarsci.spectra.readers.table import MAX_PERCENT
 
     if start[:6].lower().startswith(("ncols", "nrows")) or Path(file.name).suffix.lower() == ".xyz":
         return True
     whole = start if len(start) < BEGINNING // 2 else start.rpartition("\n")[0]
     # Telemetry and positions have x, y and z beside others.
-    return node_columns(file, whole, alone=True) is not None
+    return node_columns(file, whole, above=MAX_PERCENT) is not None
 
 
 def states_named_otherwise(columns: Sequence[str]) -> list[str]:

@@ -13,6 +13,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.heights import HeightUnit
 from lunarsci.names import one_of
+from lunarsci.ranges import refuse
 
 ERROR_LAYERS = ("height_m_sigma", "height_m_common_sigma", "count", "height_by_disparity_m_px", "resolution_m")
 """What an elevation model made of pictures has beside its heights."""
@@ -57,7 +58,7 @@ class HeightGrid:
 
 
 def spacing_of(x: FloatArray, y: FloatArray) -> float:
-    """The one distance of ascending nodes (nx,) and (ny,). Raises ValueError where there is none. [m]"""
+    """The one distance of ascending nodes (nx,) and (ny,). Raises ParameterError where there is none. [m]"""
     axes = [axis.ravel() if axis.ndim == 1 and axis.size > 1 else np.zeros(2) for axis in (x, y)]
     steps = [float(axis[-1] - axis[0]) / (axis.size - 1) for axis in axes]
     uneven = [
@@ -71,8 +72,7 @@ def spacing_of(x: FloatArray, y: FloatArray) -> float:
         f"cells must be square: steps are {steps[0]:g} m in x_m and {steps[1]:g} m in y_m; interpolate the heights "
         f"to nodes {max(steps):g} m apart in both": abs(steps[1] - steps[0]) > EVEN * steps[0],
     }  # fmt: skip
-    if fault := next((text for text, applies in faults.items() if applies), ""):
-        raise ValueError(fault)
+    refuse(fault for fault, applies in faults.items() if applies)
     return steps[0]
 
 
@@ -112,7 +112,8 @@ MARKERS = (
     *(-9999.0, -99999.0, -999999.0, 9999.0, 99999.0, 999999.0),
     *(-32768.0, -32767.0, -32766.0, 32767.0, 65535.0, -2147483648.0, 2147483647.0),
 )
-"""Numbers that stand for no height: those of ESRI's grids, and the ends of integers of 16 and 32 bits; assumed."""
+"""Numbers that stand for no height: -9999 of ESRI's grids and longer ones, the special pixels of ISIS for 16 bits, and
+the ends of integers of 16 and 32 bits."""
 USUALLY = "are without data, as such numbers are usually"
 BEYOND = 1e19
 """No height is larger: -3.4e38, 1e20, 1.7e38 and -1e32 stand for none. [m]"""

@@ -32,12 +32,14 @@ from lunarsci.heights.texts import (
 )
 from lunarsci.names import one_of
 from lunarsci.printable import shortened
+from lunarsci.ranges import refuse
 
 HIGHEST_M = 2e4
 """No height is farther from the median: the Moon's span 19.9 km (Smith et al. 2017, Icarus 283, 70,
 10.1016/j.icarus.2016.06.006)."""
-STEEPEST_DEG = 45.0
-"""Median slope; loose lunar soil rests at 35 to 40 deg at most, the walls of craters included. Assumed. [deg]"""
+STEEPEST_DEG = 50.0
+"""Median slope: no lunar soil rests steeper than its friction angle, 30 to 50 deg (Mitchell et al. 1974, Apollo Soil
+Mechanics Experiment S-200, NASA CR-134306). [deg]"""
 LONE_STEP, LARGEST_STEP, FILLED = 10.0, 100.0, 4
 """From a node to both neighbours of its row or column, on the same side: a slope of 84 deg up and down; to a neighbour,
 as walls may be steep, but not so high [spacings]; nodes of one height that may be a fill. Assumed."""
@@ -174,8 +176,7 @@ def steep_nodes(height_m: FloatArray, spacing_m: float) -> int:
 
 def _read_archive(path: Path, layers: tuple[str, ...], unread: tuple[str, ...]) -> HeightGrid:
     arrays = _load(path, {*NODE, "name", "synthetic", "made_for", "crs", *layers}, unread)
-    if missing := [key for key in NODE if key not in arrays]:
-        raise DataError(f"no '{missing[0]}'; a terrain needs x_m, y_m and height_m")
+    refuse((f"no '{key}'; a terrain needs x_m, y_m and height_m" for key in NODE if key not in arrays), "", DataError)
     x, y, height = (np.asarray(arrays[key], dtype=np.float64) for key in NODE)
     if x.ndim == y.ndim == 2 and x.shape == y.shape and (x == x[:1]).all() and (y == y[:, :1]).all():
         x, y = x[0], y[:, 0]
@@ -232,16 +233,12 @@ def geotiff_bytes(
 def _load(path: Path, keys: set[str], unread: tuple[str, ...]) -> dict[str, Any]:
     """The arrays of an archive, none of which is unpacked before its name and its size are known to be sound."""
     try:
-        archive = np.load(path, allow_pickle=False)
-        if not isinstance(archive, np.lib.npyio.NpzFile):
-            raise DataError("a single array, not a NumPy archive; write it with numpy.savez")
-        with archive:
+        with np.load(path, allow_pickle=False) as archive:
             named = {key: AXES.get(plain_name(key), key) for key in archive.files}
             if {*NODE} & {*archive.files} or len({*named.values()}) < len(named):
                 named = {key: key for key in archive.files}
-            if unknown := {*named.values()} - keys - {*unread}:
-                wrong = shortened(min(unknown))
-                raise DataError(f"'{wrong}' is not a key of a terrain; {one_of(wrong, sorted(keys))}")
+            unknown = map(shortened, sorted({*named.values()} - keys - {*unread}))
+            refuse((f"'{k}' is not a key of a terrain; {one_of(k, sorted(keys))}" for k in unknown), "", DataError)
             for entry in archive.zip.infolist() if archive.zip else ():
                 check_count(entry.file_size // 8)
             arrays = {name: archive[key] for key, name in named.items() if name in keys}
@@ -249,8 +246,8 @@ def _load(path: Path, keys: set[str], unread: tuple[str, ...]) -> dict[str, Any]
         raise
     except Exception as error:  # whatever NumPy raises of a damaged archive: each part of it has its own
         raise DataError("not a NumPy archive that can be read; write it with numpy.savez") from error
-    if wrong := next((key for key, array in arrays.items() if np.iscomplexobj(array)), ""):
-        raise DataError(f"{wrong} has complex numbers; write real ones")
+    complex_ones = (key for key, array in arrays.items() if np.iscomplexobj(array))
+    refuse((f"{key} has complex numbers; write real ones" for key in complex_ones), "", DataError)
     return arrays
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.ranges import check_range, refuse
 
 NO_RASTERIO = "GeoTIFF and coordinate systems need rasterio; pip install 'lunarsci[cubes]'"
 LARGEST_STRETCH = 0.02
@@ -43,10 +44,12 @@ class MapProjection:
             system = CRS.from_user_input(self.wkt)
         except CRSError as error:
             raise ParameterError(f"not a coordinate system: {error}") from error
-        if system.is_geographic:
-            raise ParameterError("its coordinates are degrees of longitude and latitude")
-        if system.linear_units_factor[1] != 1.0:
-            raise ParameterError(f"its projection counts in {system.linear_units_factor[0]}; project it to m")
+        unit, metres = ("", 1.0) if system.is_geographic else system.linear_units_factor
+        reasons = {
+            "its coordinates are degrees of longitude and latitude": system.is_geographic,
+            f"its projection counts in {unit}; project it to m": metres != 1.0,
+        }
+        refuse(reason for reason, applies in reasons.items() if applies)
         object.__setattr__(self, "_system", system)
         object.__setattr__(self, "_degrees", CRS.from_user_input(degrees_of(self.wkt)))
 
@@ -67,8 +70,8 @@ class MapProjection:
     def metres(self, longitude_deg: Any, latitude_deg: Any) -> FloatArray:
         """x and y on the map. (n, 2) [m] Raises ParameterError for what is no place of the map."""
         lon, lat = (np.atleast_1d(np.asarray(values, dtype=float)) for values in (longitude_deg, latitude_deg))
-        if not ((np.abs(lon) <= 360.0).all() and (np.abs(lat) <= 90.0).all()):
-            raise ParameterError("longitudes lie between -360 and 360 deg to the east, latitudes between -90 and 90")
+        check_range("a longitude", float(np.abs(lon).max()), "[0, 360]", "in deg to the east or west")
+        check_range("a latitude", float(np.abs(lat).max()), "[0, 90]", "in deg to the north or south")
         return moved(self._degrees, self._system, lon, lat)
 
     def ground(self, x_m: float, y_m: float) -> FloatArray:
@@ -115,14 +118,10 @@ def moved(start: Any, end: Any, first: Any, second: Any) -> FloatArray:
     from rasterio.warp import transform
 
     try:
-        places = np.column_stack(transform(CRS.from_user_input(start), CRS.from_user_input(end), x, y)[:2]).astype(
-            float
-        )
+        places = transform(CRS.from_user_input(start), CRS.from_user_input(end), x, y)[:2]
+        return np.asarray_chkfinite(np.column_stack(places), dtype=float)
     except Exception as error:  # whatever GDAL says of a place that is none: its errors have no public class
         raise ParameterError(f"the map's projection has no such place ({error})") from error
-    if not np.isfinite(places).all():
-        raise ParameterError("the map's projection has no such place")
-    return places
 
 
 def name_of(wkt: str) -> str:

@@ -21,6 +21,7 @@ from lunarsci.heights.rasters import HEIGHT, HeightRaster, check_count, grid_of_
 from lunarsci.io.inputs import InputFile, read_input, text
 from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.names import one_of
+from lunarsci.ranges import refuse
 
 HEADER = ("ncols", "nrows", "cellsize", "dx", "dy", "nodata_value", "xllcorner", "yllcorner", "xllcenter", "yllcenter")
 TEXTS = (".asc", ".csv", ".xyz", ".txt", ".dat", ".grd", ".agr")
@@ -40,10 +41,6 @@ BESIDE = {
 }
 """Columns beside nodes that leave a table one of them: numbers of points, colours and normals of point clouds."""
 REMARKS = ("#", "//", "%", "!")
-MOST_PERCENT = 200.0
-"""No reflectance is larger; that of `lunarsci.spectra`, assumed. [%]"""
-SPARSE = 4.0
-"""Nodes of a grid for each row of a table without names, that may be holes; assumed."""
 ROUNDED = 0.04
 """By how much steps may differ where places are rounded, as a share of one; assumed."""
 
@@ -136,8 +133,7 @@ def _checked_header(stated: Sequence[tuple[str, float]]) -> dict[str, float]:
         f"a cellsize of {', '.join(f'{value:g}' for value in wrong)}; give the side of a cell in m": wrong,
         f"{' and '.join(sorted(corner))}; name the corner of the first cell, or its centre": mixed,
     }  # fmt: skip
-    if fault := next((text for text, applies in faults.items() if applies), ""):
-        raise DataError(fault)
+    refuse((fault for fault, applies in faults.items() if applies), "", DataError)
     check_count(counts[0] * counts[1])
     return header | sides
 
@@ -150,11 +146,9 @@ def read_table(path: Path, layers: tuple[str, ...], unread: tuple[str, ...], **h
         return read_nodes(path, layers, unread, **how)
     table = table[[name for name in table if name in layers or name not in unread]]
     missing, unknown = {*NODE} - {*table}, {str(name) for name in table} - {*NODE, *layers}
-    if missing or unknown:
-        other = (
-            f"'{min(unknown)}' is no column of a terrain; {one_of(min(unknown), (*NODE, *layers))}" if unknown else ""
-        )
-        raise DataError(f"no column {min(missing)}; a terrain needs x_m, y_m and height_m" if missing else other)
+    reasons = [f"no column {name}; a terrain needs x_m, y_m and height_m" for name in sorted(missing)]
+    reasons += [f"'{n}' is no column of a terrain; {one_of(n, (*NODE, *layers))}" for n in sorted(unknown)]
+    refuse(reasons, "", DataError)
     return _grid_of(path, {str(name): numbers_of(str(path), str(name), cells) for name, cells in table.items()})
 
 
@@ -215,8 +209,7 @@ def in_degrees(path: Path, nodes: dict[str, FloatArray], unit: str, note: str, b
         f"{'longitudes' if uneven[0] else 'latitudes'} are not in even steps; interpolate the heights to even ones":
             any(uneven),
     }  # fmt: skip
-    if fault := next((text for text, applies in faults.items() if applies), ""):
-        raise DataError(fault)
+    refuse((fault for fault, applies in faults.items() if applies), "", DataError)
     check_count(across.size * up.size)
     heights = np.full((up.size, across.size), np.nan)
     heights[np.rint((up[-1] - lat) / sides[1]).astype(int), np.rint((lon - across[0]) / sides[0]).astype(int)] = height
@@ -230,8 +223,10 @@ def in_degrees(path: Path, nodes: dict[str, FloatArray], unit: str, note: str, b
     )  # fmt: skip
 
 
-def node_columns(file: InputFile, content: str, *, alone: bool = False) -> tuple[list[str], FloatArray] | None:
-    """Names and numbers (3, n) of the columns of a table of nodes, or of them `alone`; None for any other table.
+def node_columns(file: InputFile, content: str, *, above: float | None = None) -> tuple[list[str], FloatArray] | None:
+    """Names and numbers (3, n) of the columns of a table of nodes; None for any other table.
+
+    Where `above` is given, it must be one of nodes alone, and not of numbers from 0 to that, which are reflectances.
 
     Three columns without names are such a table where the first two are places on a grid. Names may stand in the
     remark above, as of point clouds. What colours or counts nodes may stand beside them.
@@ -241,14 +236,15 @@ def node_columns(file: InputFile, content: str, *, alone: bool = False) -> tuple
     rows = _cells(content)
     first = rows[0] if rows else []
     bare = all(_is_number(cell) for cell in first)
-    if pivot := _pivot(rows, alone=alone):
-        return pivot
+    if pivot := _pivot(rows):
+        likely = above is None or np.nanmin(pivot[1][2]) < 0 or np.nanmax(pivot[1][2]) > above
+        return pivot if likely else None
     if len(first) < 3 or (not bare and (len(rows) < 2 or len(rows[1]) != len(first))):
         return None
     axes = [AXES.get(plain_name(cell), "") for cell in first]
     places = [0, 1, 2] if bare else [axes.index(name) for name in NODE if name in axes]
     beside = {plain_name(cell) for k, cell in enumerate(first) if k not in places}
-    if len(places) < 3 or (bare and len(first) != 3) or (alone and not beside <= BESIDE):
+    if len(places) < 3 or (bare and len(first) != 3) or (above is not None and not beside <= BESIDE):
         return None
     rows = rows[0 if bare else 1 :]
     if {len(row) for row in rows} != {len(first)}:
@@ -262,19 +258,14 @@ def node_columns(file: InputFile, content: str, *, alone: bool = False) -> tuple
     return (names, values) if not bare or _is_grid(values) else None
 
 
-def _pivot(rows: list[list[str]], *, alone: bool) -> tuple[list[str], FloatArray] | None:
-    """Nodes of a table with x in the names of its columns and y in its first one; None for any other table.
-
-    `alone`, cells that could be reflectances in percent are none of heights: such tables have spectra in rows, too.
-    """
+def _pivot(rows: list[list[str]]) -> tuple[list[str], FloatArray] | None:
+    """Nodes of a table with x in the names of its columns and y in its first one; None for any other table."""
     if len(rows) < 4 or len({*map(len, rows)}) != 1 or len(rows[0]) < 4 or _is_number(rows[0][0] or "x"):
         return None
     try:
         x, y = np.array(rows[0][1:], dtype=float), np.array([row[0] for row in rows[1:]], dtype=float)
         heights = np.array([[cell or "nan" for cell in row[1:]] for row in rows[1:]], dtype=float)
     except ValueError:
-        return None
-    if alone and np.nanmin(heights) >= 0 and np.nanmax(heights) <= MOST_PERCENT:
         return None
     steps = [np.diff(axis) / (axis[1] - axis[0] or np.nan) for axis in (x, y)]
     if not all(np.allclose(step, 1.0, atol=ROUNDED) for step in steps):
@@ -304,10 +295,10 @@ def _cells(content: str) -> list[list[str]]:
 
 
 def _is_grid(values: FloatArray) -> bool:
-    """Whether the first two of three columns (3, n) without names are places of nodes, all of them or most."""
+    """Whether the first two of three columns (3, n) without names are places of nodes, two in each row and column."""
     rows = values.shape[1]
     across, up = (len(np.unique(axis)) for axis in values[:2])
-    return min(across, up) >= 2 and 2 * max(across, up) <= rows and rows <= across * up <= SPARSE * rows
+    return min(across, up) >= 2 and 2 * max(across, up) <= rows <= across * up
 
 
 def _is_number(cell: str) -> bool:

@@ -23,12 +23,13 @@ from lunarsci.images.camera import INTRINSICS, Camera, rotation_of, vector_of
 from lunarsci.images.pictures import Picture, open_cv
 from lunarsci.io.inputs import InputFile, expand_inputs
 from lunarsci.names import some_of
+from lunarsci.ranges import refuse
 
 Kind = Literal["chessboard", "circles", "asymmetric-circles", "charuco"]
 NEAR = 0.4
 """Half width of the window about a corner, as a share of the distance to the next, below a half; assumed."""
-FEWEST_POINTS = 6
-"""Points of a board that a picture must show; assumed."""
+FEWEST_POINTS = 5
+"""Points of a board that a picture must show: four give a homography (Zhang 2000), a fifth tests it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -351,16 +352,13 @@ def calibrate(
 
 
 def _check_count(views: Sequence[BoardView], cameras: int) -> None:
-    for index in range(cameras):
-        count = sum(view[index] is not None for view in views)
-        if count < FEWEST_VIEWS:
-            side = ("left", "right")[index] + " " if cameras > 1 else ""
-            raise DataError(
-                f"the board was found in {count} {side}pictures; {FEWEST_VIEWS} or more are needed, better 12"
-            )
-    both = sum(None not in view for view in views)
-    if both < FEWEST_VIEWS:
-        raise DataError(f"both cameras see the board at {both} moments; {FEWEST_VIEWS} or more are needed")
+    sides = ("left ", "right ") if cameras > 1 else ("",)
+    counts = {f"{side}pictures": sum(v[k] is not None for v in views) for k, side in enumerate(sides)}
+    counts["moments of both cameras"] = sum(None not in view for view in views)
+    few = (f"{count} {what}" for what, count in counts.items() if count < FEWEST_VIEWS)
+    refuse(
+        (f"the board was found in {one}; {FEWEST_VIEWS} or more are needed, better 12" for one in few), "", DataError
+    )
 
 
 def _tilt_deg(poses: FloatArray) -> float:

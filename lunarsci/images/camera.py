@@ -18,6 +18,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.images.pictures import open_cv
 from lunarsci.names import one_of
+from lunarsci.ranges import refuse
 
 INTRINSICS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "p1", "p2")
 """What a camera's picture depends on, in the order of `Camera.vector`."""
@@ -287,7 +288,8 @@ RELATIVE = (*(f"rotation_{axis}_rad" for axis in "xyz"), *(f"translation_{axis}_
 PARAMETERS = (*(f"left_{n}" for n in INTRINSICS), *(f"right_{n}" for n in INTRINSICS), *RELATIVE)
 """What a rig depends on: rows and columns of its covariance."""
 MAST_M = 1.5
-"""Height of a camera whose rig does not say: assumed. [m]"""
+"""Height of a camera whose rig does not say: about that of the mast cameras of MER, 1.54 m (Maki et al. 2003,
+10.1029/2003JE002077). [m]"""
 PIXEL_MTF = 2 / math.pi
 """Contrast that a square pixel leaves at half a cycle a pixel. [-]"""
 
@@ -372,19 +374,18 @@ class StereoRig:
 
     def __post_init__(self) -> None:
         Pose(rotation=self.rotation, center_m=self.translation_m)
-        if not self.baseline_m > 0:
-            raise ParameterError(f"{self.name}: both cameras are at one place; a stereo rig needs a baseline")
         size, given = len(PARAMETERS), np.asarray(self.covariance, dtype=float)
         good = given.shape == (size, size) and np.isfinite(given).all()
         if good:
             scale = np.sqrt(np.maximum(np.diag(given), 1e-300))
             good = np.allclose(given, given.T, atol=1e-9 * max(1.0, np.abs(given).max()))
             good = good and np.linalg.eigvalsh(given / np.outer(scale, scale)).min() >= -1e-6
-        if not good:
-            raise ParameterError(
-                f"{self.name}: a covariance of shape {given.shape}; give {size} x {size} finite numbers, symmetric, "
-                "without a negative variance"
-            )
+        reasons = {
+            "both cameras are at one place; a stereo rig needs a baseline": not self.baseline_m > 0,
+            f"a covariance of shape {given.shape}; give {size} x {size} finite numbers, symmetric, without a negative "
+            "variance": not good,
+        }
+        refuse((reason for reason, applies in reasons.items() if applies), self.name)
 
     @property
     def height_m(self) -> float:

@@ -23,6 +23,7 @@ from lunarsci.arrays import BoolArray, FloatArray, IndexArray, huber_weights
 from lunarsci.errors import ParameterError
 from lunarsci.heights.grid import ERROR_LAYERS
 from lunarsci.heights.grids import check_relief, geotiff_bytes, read_grid
+from lunarsci.ranges import refuse
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -258,11 +259,13 @@ def merge(
     overlaps.
     """
     places = list(positions) if positions is not None else [StationPosition()] * len(models)
-    if len(models) < 2 or len(places) != len(models):
-        raise ParameterError(f"{len(models)} models and {len(places)} positions; give two or more, and one for each")
-    for model in models:
-        if model.height_m_sigma is None:
-            raise ParameterError(f"{model.name}: no height_m_sigma; inverse variances need the errors of the heights")
+    without = [model.name for model in models if model.height_m_sigma is None]
+    reasons = {
+        f"{len(models)} models and {len(places)} positions; give two or more, and one for each":
+            len(models) < 2 or len(places) != len(models),
+        f"{', '.join(without)}: no height_m_sigma; inverse variances need the errors of the heights": without,
+    }  # fmt: skip
+    refuse(reason for reason, applies in reasons.items() if applies)
     steps = progress or (lambda *_: None)
     step = spacing_m or min(model.spacing_m for model in models)
     x, y = (_axis(models, places, name, step) for name in ("x_m", "y_m"))

@@ -1,13 +1,14 @@
 """From disparities to heights on a grid, with the errors that nodes have alone and those that they share."""
 
 import math
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt, map_coordinates, median
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import SIGNIFICANCE, FloatArray
 from lunarsci.compiled import compiled
 from lunarsci.errors import DataError
 from lunarsci.images.camera import Pose, StereoRig
@@ -16,8 +17,8 @@ from lunarsci.images.matching import HALF_PX, StereoMatches
 
 COMMON_NODES = 4
 """Distance of the nodes at which the rig's errors are computed; they change slowly between these."""
-OUTLYING = 4.0
-"""Heights that lie farther from their cell's median, in standard deviations beside its slope, are left out; assumed."""
+OUTLYING = NormalDist().inv_cdf(1 - SIGNIFICANCE / 2)
+"""Heights that lie farther from their cell's median, in standard deviations beside its slope, are left out."""
 STEEPEST = 1.5
 """Slope that a cell may have; assumed. [-]"""
 GRAZING_DEG = 3.0
@@ -25,7 +26,8 @@ GRAZING_DEG = 3.0
 PARTS = 3
 """A cell's height is the mean over so many places along x and y on the triangles between pixels."""
 COVERED = 0.5
-"""Share of these places that must lie on triangles; assumed."""
+"""Share of these places that must lie on triangles, and of the nodes of a track's floor and the ground beside it that
+must be known; assumed."""
 ALIKE_PX = 4.0
 """Distance of pixels whose errors are independent: as `matching.CORRELATED`."""
 REPRESENTED = 0.09

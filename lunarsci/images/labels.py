@@ -13,9 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.images.camera import INTRINSICS, Camera, Pose, StereoRig, covariance_of, rotation_of
+from lunarsci.images.camera import INTRINSICS, Camera, Pose, StereoRig, covariance_of, is_swapped, rotation_of
+from lunarsci.images.pictures import MOST_PIXELS
 from lunarsci.io.documents import xml_root
 from lunarsci.io.inputs import InputFile, text
+from lunarsci.ranges import refuse
 
 STEPS = 12
 """Points along each side of a picture that a model is fitted at."""
@@ -25,10 +27,8 @@ RANGES = (2.0, 5.0, 20.0)
 """Ranges of those points, since the pupil of CAHVORE moves. [m]"""
 MOST_TRIES = 100
 """Of a fit; sound models need some ten."""
-MOST_PX = 100_000
-"""Lines or samples of a picture: a hundred times those of cameras on rovers; assumed."""
 COARSE_PX = 1.0
-"""A fit that misses by more says so; assumed."""
+"""A fit that misses by more than a pixel says so, as does a calibration; assumed."""
 Z_DOWN = re.compile(r'COORD\w*SYSTEM_NAME\s*=\s*"?(?:ROVER|SITE|LOCAL_LEVEL|LANDER)\w*')
 DOWN = "z of the label's frame points down: x, -y, -z of it are told"
 NUMBER = r"[-+]?(?:\d++\.?+\d*+|\.\d++)(?:[eEdD][-+]?\d++)?"
@@ -202,18 +202,16 @@ def _upright(fitted: LabelCamera, content: str) -> LabelCamera:
 
 def _cahv_of(name: str, content: str) -> CahvModel:
     vectors = _components(content)
-    if not {"C", "A", "H", "V"} <= vectors.keys():
-        raise DataError(f"{name}: no camera model; a label needs C, A, H and V, or the pointing of a PDS4 label")
     width = _first_number(content, ("LINE_SAMPLES", "xdim", "NS"))
     height = _first_number(content, ("LINES", "ydim", "NL"))
     halves = {"O", "R"} & vectors.keys()
-    if width is None or height is None or len(halves) == 1:
-        lacks = (
-            f"a CAHVOR model needs O and R, not {halves.pop()} alone"
-            if len(halves) == 1
-            else "the size of the picture is missing; add LINES = … and LINE_SAMPLES = …"
-        )
-        raise DataError(f"{name}: {lacks}")
+    reasons = {
+        "no camera model; a label needs C, A, H and V, or the pointing of a PDS4 label":
+            not {"C", "A", "H", "V"} <= vectors.keys(),
+        f"a CAHVOR model needs O and R, not {''.join(halves)} alone": len(halves) == 1,
+        "the size of the picture is missing; add LINES = … and LINE_SAMPLES = …": width is None or height is None,
+    }  # fmt: skip
+    refuse((reason for reason, applies in reasons.items() if applies), name, DataError)
     kind = _first_number(content, ("MODEL_TYPE_PARAMETER", "MPARM", "T"))
     vectors["O"] = vectors["O"] / np.linalg.norm(vectors["O"]) if "O" in vectors else vectors["A"]
     vectors.setdefault("R", np.zeros(3))
@@ -252,8 +250,8 @@ def orthonormal(matrix: FloatArray) -> FloatArray:
 def count_of(name: str, cell: str | float | None, what: str) -> int:
     """A number of pixels. Raises DataError for text, parts of one, and what no picture has."""
     count = finite(name, what, str(cell))
-    if not (1 <= count <= MOST_PX and count.is_integer()):
-        raise DataError(f"{name}: its {what} are {cell}; a picture has 1 to {MOST_PX}")
+    if not (1 <= count <= MOST_PIXELS and count.is_integer()):
+        raise DataError(f"{name}: its {what} are {cell}; a picture has 1 to {MOST_PIXELS}")
     return int(count)
 
 
@@ -268,8 +266,6 @@ def finite(name: str, tag: str, cell: str) -> float:
 
 
 CORNERS = ("up_left", "down_left", "up_right", "down_right", "center")
-RIGHT_ANGLE_DEG = 15.0
-"""How far the line between two centres may lie from the left camera's rows before its frame is doubted; assumed."""
 
 
 def read_label(file: InputFile) -> LabelCamera:
@@ -292,13 +288,13 @@ def rig_of_labels(left: InputFile, right: InputFile) -> StereoRig:
     first, second = read_label(left), read_label(right)
     rotation = second.pose.rotation.T @ first.pose.rotation
     translation = second.pose.to_camera(first.pose.center_m)
-    if not np.linalg.norm(translation) > 0:
-        raise DataError(f"{left.name}, {right.name}: both labels name one place; give the left and the right picture's")
-    along = -translation / np.linalg.norm(translation)
-    if along[0] < -np.cos(np.radians(RIGHT_ANGLE_DEG)):
-        raise DataError(f"{left.name}, {right.name}: left and right are swapped; give the left one first")
+    reasons = {
+        "both labels name one place; give the left and the right picture's": not translation.any(),
+        "left and right are swapped; give the left one first": is_swapped(translation),
+    }
+    refuse((reason for reason, applies in reasons.items() if applies), f"{left.name}, {right.name}", DataError)
     remarks = [*first.remarks, *(remark for remark in second.remarks if remark not in first.remarks)]
-    if along[0] < np.cos(np.radians(RIGHT_ANGLE_DEG)):
+    if not is_swapped(-translation):
         remarks.append("centres are stated in another frame than directions: the baseline is laid along the rows")
         translation = -np.linalg.norm(translation) * np.array([1.0, 0.0, 0.0])
     sigmas = {f"{side}_{name}": fit.residual_rms_px for side, fit in (("left", first), ("right", second))
@@ -323,15 +319,16 @@ def _from_pds4(name: str, content: str) -> LabelCamera:
     root = xml_root(name, content.encode())
     width, height = _size(name, root)
     pitch, length = (_number(name, root, tag) for tag in ("pixel_size", "focal_length"))
-    if not (pitch > 0 and length > 0):
-        raise DataError(f"{name}: pixel_size {pitch:g}, focal_length {length:g}; both are above 0")
-    focal = length / (pitch := pitch * 1e-3)
-    across, down = (_principal(name, root, axis) / pitch for axis in "xy")
     vectors = {corner: _vector(name, root, f"{corner}_point_observe_vector") for corner in CORNERS}
     stated = {corner: vector / np.linalg.norm(vector) for corner, vector in vectors.items() if vector is not None}
     center = np.array([_number(name, root, f"camera_center_position_{axis}", 0.0) for axis in "xyz"])
-    if len(stated) < 3:
-        raise DataError(f"{name}: its label states {len(stated)} directions of corners; three or more are needed")
+    reasons = {
+        f"pixel_size {pitch:g}, focal_length {length:g}; both are above 0": not min(pitch, length) > 0,
+        f"its label states {len(stated)} directions of corners; three or more are needed": len(stated) < 3,
+    }
+    refuse((reason for reason, applies in reasons.items() if applies), name, DataError)
+    focal = length / (pitch := pitch * 1e-3)
+    across, down = (_principal(name, root, axis) / pitch for axis in "xy")
     fits = [_fit_corners(name, (width, height), focal, (across, sign * down), stated) for sign in (1.0, -1.0)]
     best = min(fits, key=lambda fit: fit.residual_rms_px)
     if best.residual_max_px > 0.1 * width:

@@ -39,7 +39,8 @@ or where there are few; assumed."""
 LIKE = 0.8
 """Largest ratio of the best to the second best distance of features: Lowe (2004), section 7.1."""
 INLIER_PX = 4.0
-"""Features that are off by more, on foreshortened ground, do not follow a motion; assumed. [px]"""
+"""Features that are off by more, on foreshortened ground, do not follow a motion, and the median template must be off
+by less than half of it; assumed. [px]"""
 REACHES_PX = ((12, 6), (6, 4))
 """Half sides of where templates are looked for, a round; assumed."""
 FEWEST = 8
@@ -47,15 +48,11 @@ FEWEST = 8
 STEPS = 30
 SMALL = 1e-6
 """Step of poses [rad, m] and rig that ends the adjustment."""
-DEFINED_PX = 0.05
-"""Error of the pixel that defines a point: of the interpolation between pixels; assumed."""
 SMALLEST_PX = 0.1
-"""Error of a template's place that is left where light says none; assumed."""
+"""Error of a template's place, and of the pixel that defines a point, that is left where light says none; assumed."""
 SHIFTED_PX = 0.25
-"""Error that a pair's templates share, in u and in v: light and shadows lie elsewhere when the Sun has moved. Assumed;
-the templates of three rendered pairs were off by 0 to 0.4 px."""
-AGREEING = 0.6
-"""Share of the templates that must be within 2 px of where the pose has them: by chance, few are; assumed."""
+"""Error that a pair's templates share, in u and in v: light and shadows lie elsewhere when the Sun has moved. The
+templates of three rendered pairs were off by 0 to 0.4 px."""
 ODD_SIGMAS = 5.0
 """Dead reckoning that is off by more is doubted: it, or the ties, are wrong; assumed."""
 LEAST_SHARED, MOST_CLOSED, NEAREST_M = 0.05, 4, 0.5
@@ -261,7 +258,7 @@ class _Bundle:
         points = state.poses[pair.near].to_world(triangulated(rig, ties.near_px, ties.near_disparity))
         near, far = (_seen_by(rig, state.poses[k], points, self.loose) for k in (pair.near, pair.far))
         by_near = far.by_point @ np.linalg.inv(near.by_point)
-        of_near = by_near @ _diagonal(ties.near_sigma, DEFINED_PX**2 * np.eye(2)) @ by_near.swapaxes(1, 2)
+        of_near = by_near @ _diagonal(ties.near_sigma, SMALLEST_PX**2 * np.eye(2)) @ by_near.swapaxes(1, 2)
         template = ties.covariance + OVERLAPPING * SMALLEST_PX**2 * np.eye(2)
         # A disparity that is not known says nothing.
         sigma = np.where(np.isfinite(ties.far_disparity), ties.far_sigma, 1e6)
@@ -693,8 +690,8 @@ def _tied(
         )
         now[b] = fitted.poses[1]
         off = np.linalg.norm(fitted.residual_px[0], axis=1)
-        if (off < 2.0).mean() < AGREEING:
-            why = f"{(off < 2.0).sum()} of {len(off)} templates agree on a motion; has the Sun moved far?"
+        if np.median(off) > 0.5 * INLIER_PX:
+            why = f"{(off < 0.5 * INLIER_PX).sum()} of {len(off)} templates agree on a motion; has the Sun moved far?"
             return report._replace(failure=why), None
     return report, (PairTies(near, far, ties), fitted)
 

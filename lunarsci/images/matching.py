@@ -16,8 +16,9 @@ import numpy.typing as npt
 from lunarsci.arrays import FloatArray, robust_fit, robust_scatter
 from lunarsci.compiled import compiled, each_in_threads
 from lunarsci.errors import DataError
-from lunarsci.images.camera import StereoRig
+from lunarsci.images.camera import StereoRig, is_swapped
 from lunarsci.images.pictures import Picture, open_cv
+from lunarsci.ranges import refuse
 from lunarsci.result import Progress
 
 HALF_PX = 3
@@ -25,10 +26,11 @@ HALF_PX = 3
 (`tests/benchmarks/scenes.py`: NavCam 2, PanCam 1) of 5, 7 and 9."""
 STEPS = 5
 SMALL_STEP_PX = 0.01
-FARTHEST_PX = 0.9
-"""A window that moves farther from where it began has found something else; assumed."""
-STEEPEST = 0.6
-"""Largest change of disparity from pixel to pixel; assumed. [px/px]"""
+FARTHEST_PX = 1.0
+"""A window that moves farther from where it began is at another one of the whole disparities that were compared."""
+STEEPEST = 2 / 3
+"""Largest change of disparity from pixel to pixel of the left picture: 1 from pixel to pixel between both pictures
+(Pollard et al. 1985, Perception 14, 449, 10.1068/p140449). [px/px]"""
 ROWS = 16
 
 
@@ -234,11 +236,6 @@ LARGEST_ROW_PX = 3.0
 UNEVEN_PX = 0.45
 """Robust scatter of the rows' distances about their plane from which the pictures are of two moments; measured: a
 rendered pair has 0.05 px, 0.11 px where the rover moved by 1 cm between its pictures, 0.52 px by 3 cm."""
-ALIKE = 0.999
-"""Correlation of two pictures, pixel on pixel, from which they are one: assumed. Two views of ground are below 0.9."""
-LEAST_SHARE = 0.4
-"""Share that must match before a trial is believed: pictures of two places, turned, may match by their parallax.
-Assumed."""
 ISLAND_PX, ISLAND_STEP_PX = 400, 1.0
 """Pixels of a patch below which it is an island, and the step of disparity at which a patch ends. Measured on
 six rendered pairs of ground without texture: a third of the pixels on islands were wrong, of all others 2 %."""
@@ -313,7 +310,7 @@ def rectify(rig: StereoRig) -> Rectified:
     Raises DataError for a rig whose right camera is not to the right.
     """
     along = -rig.rotation.T @ rig.translation_m / rig.baseline_m
-    if along[0] < 0.5:
+    if not is_swapped(-rig.translation_m):
         raise DataError(
             f"{rig.name}: its right camera is not to the right of the left one; ask `lunarsci images cameras`"
         )
@@ -344,14 +341,11 @@ def match(
 ) -> StereoMatches:
     """Match two pictures of a rig, between two distances along their axis [m].
 
-    Raises DataError where they do not match, and says what seems to be the matter.
+    Raises DataError where they do not match.
     """
     report = progress or (lambda done, total: None)
     report(0, 5)
     names = f"{left.source.name}, {right.source.name}"
-    one, two = (p.values[::4, ::4].ravel() for p in (left, right))
-    if left.size == right.size and np.corrcoef(one, two)[0, 1] > ALIKE:
-        raise DataError(f"{names}: show the same, pixel on pixel; give the pictures of the left and the right camera")
     frame = rectify(rig)
     alike = (2**left.bits - 1) / (2**right.bits - 1)
     pictures = [_warped(left.values, frame.maps[0]), _warped(alike * right.values, frame.maps[1])]
@@ -359,8 +353,6 @@ def match(
     report(1, 5)
     span = frame.focal_px * frame.baseline_m / nearest_m, frame.focal_px * frame.baseline_m / farthest_m
     first = _semi_global(pictures, span)
-    if np.isfinite(first).mean() < FEWEST:
-        raise DataError(f"{names}: {_matter(left, right, frame, span)}")
     report(2, 5)
     offset, moved = _rows_in_line(pictures, first, names)
     report(3, 5)
@@ -369,7 +361,10 @@ def match(
     reason = _reasons(pictures, full, first, refined, frame)
     reason[(reason == MATCHED) & _islands(np.where(reason == MATCHED, refined.disparity, np.nan))] = ISLAND
     if (reason == MATCHED).mean() < FEWEST:
-        raise DataError(f"{names}: {_matter(left, right, frame, span)}")
+        raise DataError(
+            f"{names}: less than {FEWEST:.0%} of the pixels match; are left and right swapped or one picture twice, is "
+            "one upside down or turned, or are they not of one place, one moment and this rig?"
+        )
     disparity = np.where(reason == MATCHED, refined.disparity, np.nan)
     parts = CORRELATED * refined.sigma, RELIEF * _relief(disparity), SMALLEST_SIGMA_PX
     report(5, 5)
@@ -429,7 +424,7 @@ def _slopes(first: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Change of disparity along u and v, smoothed; 0 where it is not known. (h, w) [px/px]"""
     mean, share = _mean_in_window(first, 11)
     down, across = np.gradient(np.where(share > 0.3, mean, np.nan))
-    return np.clip(np.nan_to_num(across), -0.5, 0.5), np.clip(np.nan_to_num(down), -0.5, 0.5)
+    return np.clip(np.nan_to_num(across), -STEEPEST, STEEPEST), np.clip(np.nan_to_num(down), -STEEPEST, STEEPEST)
 
 
 def _rows_in_line(
@@ -452,14 +447,13 @@ def _rows_in_line(
         terms = np.column_stack([np.ones(len(u)), u / width - 0.5, v / height - 0.5])
         plane, _ = robust_fit(terms, refined.row_offset[good])
         total += float(plane[0])
-        if abs(total) > LARGEST_ROW_PX:
-            raise DataError(f"{names}: rows of the pictures are {abs(total):.1f} px apart; is the rig another one?")
         scatter = robust_scatter(refined.row_offset[good] - terms @ plane)
-        if scatter > UNEVEN_PX:
-            raise DataError(
-                f"{names}: rows are apart unevenly, by {scatter:.1f} px; did the rover move between them, "
-                "is one turned, or the rig another one?"
-            )
+        reasons = {
+            f"rows of the pictures are {abs(total):.1f} px apart; is the rig another one?": abs(total) > LARGEST_ROW_PX,
+            f"rows are apart unevenly, by {scatter:.1f} px; did the rover move between them, is one turned, or the rig "
+            "another one?": scatter > UNEVEN_PX,
+        }
+        refuse((reason for reason, applies in reasons.items() if applies), names, DataError)
         shift = plane[0] + plane[1] * (grid[1] / width - 0.5) + plane[2] * (grid[0] / height - 0.5)
         right = _warped(right, np.stack([grid[1], grid[0] + shift], axis=-1).astype(np.float32))
     return total, right
@@ -530,33 +524,3 @@ def _relief(disparity: FloatArray) -> FloatArray:
     du, dv = mean(disparity * u) - md * mu, mean(disparity * v) - md * mv
     left = dd - du**2 / np.maximum(uu, 1e-9) - dv**2 / np.maximum(vv, 1e-9)
     return np.sqrt(np.maximum(left, 0.0))
-
-
-def _matter(left: Picture, right: Picture, frame: Rectified, span: tuple[float, float]) -> str:
-    """What is wrong with two pictures of which too few pixels match, from trying them otherwise, half as large."""
-
-    def share(one: FloatArray, two: FloatArray) -> float:
-        small = [np.ascontiguousarray(_warped(p, m)[::2, ::2]) for p, m in zip((one, two), frame.maps, strict=True)]
-        return float(np.isfinite(_semi_global(small, (span[0] / 2, span[1] / 2))).mean())
-
-    one, two = left.values, right.values
-    tries = {
-        "left and right are swapped, or both are upside down; give the left one first": (two, one),
-        "the right picture is upside down": (one, two[::-1, ::-1]),
-        "the left picture is upside down": (one[::-1, ::-1], two),
-    }
-    if left.size[0] == left.size[1]:
-        tries |= {
-            "both pictures are turned by 90 deg clockwise": (np.rot90(one), np.rot90(two)),
-            "both pictures are turned by 90 deg anticlockwise": (np.rot90(one, -1), np.rot90(two, -1)),
-            "the right picture is turned by 90 deg": (one, np.rot90(two)),
-            "the left picture is turned by 90 deg": (np.rot90(one), two),
-        }
-    shares = {reason: share(*pair) for reason, pair in tries.items()}
-    likeliest = max(shares, key=lambda reason: shares[reason])
-    if shares[likeliest] > max(LEAST_SHARE, 1.5 * share(one, two)):
-        return f"do not match as they are: {likeliest}"
-    return (
-        f"less than {FEWEST:.0%} of the pixels match; are they of one place, one moment and this rig, "
-        "and is neither turned?"
-    )

@@ -16,6 +16,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.io.documents import xml_root
 from lunarsci.io.inputs import InputFile, read_input, unheard
+from lunarsci.ranges import refuse
 
 LABELS = (".2bl", ".2cl", ".2al", ".xml")
 RAW_TYPES = {
@@ -29,8 +30,6 @@ MOST_PIXELS = 50_000_000
 """Of a picture, with all colours of a raw one: ten times those of the largest camera on a rover; assumed."""
 NO_PICTURE = "no picture that can be read; give PNG, TIFF, JPEG or a PDS4 label"
 TOO_LARGE = f"a picture of more than {MOST_PIXELS / 1e6:.0f} million pixels; cut out the part that is wanted"
-FLAT = 4.0
-"""A picture whose values spread less over their bits than this share of a thousand shows nothing; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -61,10 +60,12 @@ class Picture:
     def check(self) -> None:
         """Raise DataError for a picture that is dark, even or overexposed all over."""
         low, high = np.percentile(self.values, [1, 99])
-        if self.saturated.mean() > 0.5:
-            raise DataError(f"{self.source.name}: {self.saturated.mean():.0%} of it is overexposed; take a shorter one")
-        if high - low < FLAT * 1e-3 * 2**self.bits:
-            raise DataError(f"{self.source.name}: shows nothing: values {low:g} to {high:g} of {2**self.bits - 1}")
+        full = self.saturated.mean()
+        reasons = {
+            f"{full:.0%} of it is overexposed; take a shorter one": full > 0.5,
+            f"shows nothing: values {low:g} to {high:g} of {2**self.bits - 1}": high - low <= 1,
+        }
+        refuse((reason for reason, applies in reasons.items() if applies), self.source.name, DataError)
 
 
 def read_picture(source: str | Path | InputFile) -> Picture:
@@ -117,13 +118,15 @@ def _read_pds4(file: InputFile) -> Picture:
         (str(a.findtext("axis_name")).lower(), _whole(file, a.findtext("elements"))) for a in root.iter("axis_array")
     ]
     kind = next((str(node.text).strip() for node in root.iter("data_type")), "")
-    if [name for name, _ in axes] not in (["line", "sample"], ["line", "sample", "band"]) or kind not in RAW_TYPES:
-        raise DataError(f"{file.name}: axes {[name for name, _ in axes]} of {kind or 'no type'} are not known here")
-    raw = read_input(Path(file.name).with_suffix(Path(file.name).suffix[:-1]))
     shape, offset = [count for _, count in axes], _whole(file, next((n.text for n in root.iter("offset")), "0"))
-    count = math.prod(shape)
-    if not 0 < count <= MOST_PIXELS:
-        raise DataError(f"{file.name}: {'x'.join(map(str, shape))} are no picture, or too large a one; fetch it again")
+    count, names = math.prod(shape), [name for name, _ in axes]
+    reasons = {
+        f"axes {names} of {kind or 'no type'} are not known here":
+            names not in (["line", "sample"], ["line", "sample", "band"]) or kind not in RAW_TYPES,
+        f"{'x'.join(map(str, shape))} are no picture, or too large a one; fetch it again": not 0 < count <= MOST_PIXELS,
+    }  # fmt: skip
+    refuse((reason for reason, applies in reasons.items() if applies), file.name, DataError)
+    raw = read_input(Path(file.name).with_suffix(Path(file.name).suffix[:-1]))
     if (there := len(raw.data) - offset) < (needed := count * np.dtype(RAW_TYPES[kind]).itemsize):
         raise DataError(f"{raw.name}: {there} bytes, {needed} announced by its label; is it cut short?")
     frame = np.frombuffer(raw.data, RAW_TYPES[kind], count, offset).reshape(shape)

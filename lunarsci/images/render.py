@@ -21,17 +21,18 @@ from lunarsci.compiled import compiled, each_in_threads
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.images.camera import Camera, Pose, StereoRig
 from lunarsci.io.tables import numbers_of, read_csv_table
+from lunarsci.ranges import refuse
 from lunarsci.result import Progress
 
 ROCK_COLUMNS = ("x_m", "y_m", "z_m", "a_m", "b_m", "c_m", "turn_deg")
 """Columns of a landscape's rocks: middle, half axes along and across, half height, direction of the first axis."""
 HURST = 0.8
-"""Roughness exponent of regolith: Helfenstein & Shepard (1999), Icarus 141, 107, 10.1006/icar.1999.6160 (0.5-0.7 at
-millimetres; 0.8 assumed between)."""
-RMS_AT_METRE_M = 0.02
-"""Rms height of wavelengths up to a metre: assumed. [m]"""
-MOTTLING = 0.05
-"""Rms of the reflectance over its mean from place to place: assumed. [-]"""
+"""Roughness exponent of regolith: between 0.5 to 0.7 at millimetres (Helfenstein & Shepard 1999, Icarus 141, 107,
+10.1006/icar.1999.6160) and 0.76 of maria to 0.95 of highlands from 17 m on (Rosenburg et al. 2011, J. Geophys. Res.
+116, E02001, 10.1029/2010JE003716)."""
+RMS_AT_METRE_M, MOTTLING = 0.02, 0.05
+"""Rms height of wavelengths up to a metre [m], on which `roughness` is a factor, and of the reflectance over its mean
+from place to place [-]: assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -61,15 +62,16 @@ class Landscape:
     sun_elevation_deg: float = 30.0
 
     def __post_init__(self) -> None:
-        if self.height_m.ndim != 2 or min(self.height_m.shape) < 3 or not np.isfinite(self.height_m).all():
-            raise ParameterError(f"{self.name}: heights must be a grid of 3 x 3 or more finite numbers; fill its holes")
+        whole = self.height_m.ndim == 2 and min(self.height_m.shape) >= 3 and np.isfinite(self.height_m).all()
         bright = self.albedo.shape == self.height_m.shape and (self.albedo > 0).all()
         rocky = self.rocks.shape[1:] == (len(ROCK_COLUMNS),) and (self.rocks[:, 3:6] > 0).all()
-        if not (bright and rocky and 0 < self.spacing_m < math.inf and 0 < self.sun_elevation_deg <= 90):
-            raise ParameterError(
-                f"{self.name}: needs reflectance above 0 at every node, {', '.join(ROCK_COLUMNS)} of rocks with half "
-                "axes above 0, a spacing above 0, and the Sun 0 to 90 deg over the horizon"
-            )
+        placed = 0 < self.spacing_m < math.inf and 0 < self.sun_elevation_deg <= 90
+        reasons = {
+            "heights must be a grid of 3 x 3 or more finite numbers; fill its holes": not whole,
+            f"needs reflectance above 0 at every node, {', '.join(ROCK_COLUMNS)} of rocks with half axes above 0, a "
+            "spacing above 0, and the Sun 0 to 90 deg over the horizon": not (bright and rocky and placed),
+        }
+        refuse((reason for reason, applies in reasons.items() if applies), self.name)
 
     @property
     def sun(self) -> FloatArray:

@@ -39,6 +39,7 @@ from lunarsci.images.labels import COARSE_PX, CahvModel, count_of, fit_cahv, ort
 from lunarsci.images.pictures import open_cv
 from lunarsci.io.documents import json_document, toml_document, xml_root, yaml_document
 from lunarsci.io.inputs import InputFile, beginning, read_input, text
+from lunarsci.ranges import refuse
 
 COLMAP: Mapping[str, tuple[str, ...]] = {
     "SIMPLE_PINHOLE": ("f", "cx", "cy"),
@@ -506,10 +507,9 @@ def _read_from(name: str, form: str) -> Iterator[None]:
         yield
     except DataError:
         raise
-    except KeyError as error:
-        raise DataError(f"{name}: no {error.args[0]}; {form}") from error
-    except (TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise DataError(f"{name}: {error}") from error
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        lacks = f"no {error.args[0]}; {form}" if isinstance(error, KeyError) else str(error)
+        raise DataError(f"{name}: {lacks}") from error
 
 
 class SingleCamera(NamedTuple):
@@ -528,7 +528,7 @@ def read_camera(file: InputFile) -> SingleCamera | None:
             return None
         covariance = np.array(plain["covariance"], dtype=float)
         if covariance.shape != (len(INTRINSICS),) * 2 or not np.isfinite(covariance).all():
-            raise DataError(f"{file.name}: its covariance has shape {covariance.shape}; give 9 x 9 numbers")
+            raise ValueError(f"its covariance has shape {covariance.shape}; give 9 x 9 numbers")
         return SingleCamera(_camera(plain["camera"], str(plain["name"])), covariance, str(plain.get("source", "")))
 
 
@@ -548,13 +548,15 @@ def read_rig(*sources: str | InputFile) -> StereoRig:
     Labels are PDS4 XML of Chang'E cameras, or text with a CAHV, CAHVOR or CAHVORE model: PDS3 labels and VICAR files.
     Raises DataError for anything else.
     """
-    if len(sources) not in (1, 2):
-        raise DataError("a rig is a name, a TOML file, or two labels, left and right; give one of these")
-    given = tomllib.loads(rigs_text())
-    if len(sources) == 1 and (name := str(sources[0])) in given:
-        return _read(given[name], name)
-    if len(sources) == 1 and isinstance(sources[0], str) and not (sources[0] == "-" or Path(sources[0]).exists()):
-        raise DataError(f"{sources[0]}: no rig of that name ({', '.join(given)}) and no such file")
+    given, first = tomllib.loads(rigs_text()), str(sources[0]) if sources else ""
+    if len(sources) == 1 and first in given:
+        return _read(given[first], first)
+    named = len(sources) == 1 and isinstance(sources[0], str) and first != "-" and not Path(first).exists()
+    reasons = {
+        "a rig is a name, a TOML file, or two labels, left and right; give one of these": len(sources) not in (1, 2),
+        f"{first}: no rig of that name ({', '.join(given)}) and no such file": named,
+    }
+    refuse((reason for reason, applies in reasons.items() if applies), "", DataError)
     inputs = [read_input(source) for source in sources]
     written = rig_or_camera(inputs)
     if isinstance(written, StereoRig):

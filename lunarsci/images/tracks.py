@@ -11,13 +11,15 @@ import itertools
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray, IndexArray, robust_fit, robust_scatter
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.arrays import SIGNIFICANCE, BoolArray, FloatArray, IndexArray, robust_fit, robust_scatter
+from lunarsci.errors import ParameterError
 from lunarsci.images.elevation import ElevationModel
+from lunarsci.images.gridding import COVERED
 from lunarsci.io.inputs import read_input, read_json
 
 
@@ -47,22 +49,17 @@ class Unrolled(NamedTuple):
 def read_line(given: str) -> FloatArray:
     """Corners of a line: x1,y1,x2,y2,... as text, or a GeoJSON file with a LineString. (n, 2) [m]
 
-    Raises ParameterError for what is no line, DataError for a file without one.
+    Raises ParameterError for what is no line, DataError for a file that cannot be read.
     """
+    line: Any = given.split(",")
+    if given.lower().endswith((".json", ".geojson")):
+        line = next(_line_strings(read_json(read_input(given), "a GeoJSON line", lambda content: content)), [])
     try:
-        if given.lower().endswith((".json", ".geojson")):
-            line = next(_line_strings(read_json(read_input(given), "a GeoJSON line", lambda content: content)), None)
-            if line is None:
-                raise DataError(f"{given}: no LineString in it; draw the track as one line")
-            points = np.array([point[:2] for point in line], dtype=float)
-        else:
-            points = np.array([float(part) for part in given.split(",")]).reshape(-1, 2)
-    except DataError:
-        raise
+        points = np.array([part[:2] if isinstance(part, list) else part for part in line], dtype=float).reshape(-1, 2)
     except (TypeError, ValueError):
         points = np.empty((0, 2))
     steps = np.linalg.norm(np.diff(points, axis=0), axis=-1)
-    if points.shape[1:] != (2,) or len(points) < 2 or not (np.isfinite(points).all() and (steps > 0).all()):
+    if len(points) < 2 or not (np.isfinite(points).all() and (steps > 0).all()):
         raise ParameterError(
             f"'{given}' is no line; give x1,y1,x2,y2,... in m, or a GeoJSON file with a LineString: two corners or "
             "more, each in another place than the one before"
@@ -214,14 +211,8 @@ def kriged(
 
 FLOOR_SHARE = 0.6
 """Share of the wheel's width, about the middle, that is taken as floor: walls slide in at the sides; assumed."""
-COVERED = 0.5, 0.3
-"""Share of the nodes of the floor, and of the ground at each side, that must be known; assumed."""
-LEAST_GAIN = 0.75
-"""Share of the depth that the matching window must leave in the floor's mean; below, nothing is determined; assumed."""
 RESOLUTION_OFF = 0.3
 """Relative error of the resolution; assumed."""
-CLEAR = 3.0
-"""Standard errors by which a track must stand out where its middle is looked for; assumed."""
 FEWEST_SHAMS = 8
 CELL_SHARE = 0.3
 """Side of the cells whose mean heights stand for the ground, as a share of the wheel's width; assumed."""
@@ -321,10 +312,10 @@ def _one_depth(survey: "_Survey", nodes: Unrolled, middle: float, profile: Track
     floor = np.abs(left) <= profile.floor_m
     sides = [(sign * left >= inner) & (sign * left <= outer) for sign in (-1.0, 1.0)]
     whole = survey.window_m / survey.model.spacing_m**2
-    if floor.sum() < COVERED[0] * whole * 2 * profile.floor_m:
+    if floor.sum() < COVERED * whole * 2 * profile.floor_m:
         return np.nan, np.nan, "floor not covered"
     for side, name in zip(sides, ("right", "left"), strict=True):
-        if side.sum() < COVERED[1] * whole * profile.strip_m:
+        if side.sum() < COVERED * whole * profile.strip_m:
             return np.nan, np.nan, f"ground to the {name} not covered"
     alike = max(1.0, (survey.resolution_m / survey.model.spacing_m) ** 2)
     cells = cells_of(nodes, sides[0] | sides[1], survey.cell_m, alike)
@@ -401,7 +392,8 @@ def track_middles(survey: _Survey, profile: TrackProfile, search_m: float, lengt
 
 
 def _stretch_middle(part: Unrolled, profile: TrackProfile, steps: FloatArray) -> float:
-    """Where a box of the wheel's width explains most of the profile, NaN where it does not stand out."""
+    """Where a box of the wheel's width explains most of the profile; NaN where it is no deeper than `SIGNIFICANCE` of
+    stretches without a track are at their best place, with ten independent nodes."""
     searched = float(np.abs(steps).max())
     part = part.only(np.abs(part.across) <= profile.ground_m[1] + searched)
     outside = np.abs(part.across) > 0.5 * profile.width_m + searched
@@ -414,7 +406,8 @@ def _stretch_middle(part: Unrolled, profile: TrackProfile, steps: FloatArray) ->
     costs, depths = zip(*(_misfit(across - step, rest, profile.width_m) for step in steps), strict=True)
     best = int(np.argmin(costs))
     scatter = robust_scatter(rest[outside])
-    if not depths[best] > CLEAR * scatter / math.sqrt(10.0) or best in (0, len(steps) - 1):
+    clear = NormalDist().inv_cdf(1 - SIGNIFICANCE / len(steps))
+    if not depths[best] > clear * scatter / math.sqrt(10.0) or best in (0, len(steps) - 1):
         return math.nan
     before, here, after = costs[best - 1 : best + 2]
     bend = before - 2 * here + after
@@ -488,7 +481,7 @@ def _measured(
     gain = profile.gain(survey.resolution_m)
     depth, error, reason = survey.depths(middles, profile)
     depth, error = depth / gain, error / gain
-    if gain < LEAST_GAIN:
+    if survey.resolution_m > profile.width_m:
         depth[:] = error[:] = np.nan
         reason = [f"matching blurs over {survey.resolution_m:.3g} m, too wide for this wheel"] * len(reason)
     progress(1, 3)

@@ -45,7 +45,7 @@ from lunarsci.spectra.vnis.channels import SPLICED_NM
 from lunarsci.spectra.vnis.detector import default_settings
 from lunarsci.spectra.vnis.observation import read_observation
 from lunarsci.spectra.vnis.simulation.instrument import Truth, simulate
-from lunarsci.spectra.vnis.simulation.scene import FULL_STRENGTH, Scene, SceneRock
+from lunarsci.spectra.vnis.simulation.scene import BANDS, Scene, SceneRock
 from lunarsci.spectra.vnis.simulation.template import product_files
 from lunarsci.twin.figures.prediction import path_fan
 from lunarsci.twin.ground.synthetic import synthetic_longji
@@ -165,8 +165,8 @@ def _rock_findings(the_rock: StudiedRock) -> list[dict[str, Any]]:
 def _strengths(truth: Truth, number: str) -> tuple[float, float]:
     """True strengths of the pyroxene bands at 1 or 2 um, but for a common factor."""
     shares = truth.composition
-    opx = shares.orthopyroxene * FULL_STRENGTH["orthopyroxene"][f"OPX {number}"]
-    return opx, shares.clinopyroxene * FULL_STRENGTH["clinopyroxene"][f"CPX {number}"]
+    opx = shares.orthopyroxene * BANDS[f"OPX {number}"].strength
+    return opx, shares.clinopyroxene * BANDS[f"CPX {number}"].strength
 
 
 def _finding(what: str, value: float, sigma: float | None, truth: float | None, unit: str, file: str) -> dict[str, Any]:

@@ -16,7 +16,6 @@ from lunarsci.images.jobs.locate import _names, _rover, locate
 from lunarsci.images.jobs.merge import read_positions as read_shifts
 from lunarsci.images.jobs.requests import LocateRequest
 from lunarsci.images.localisation import (
-    DEFINED_PX,
     OVERLAPPING,
     SMALLEST_PX,
     PairTies,
@@ -214,7 +213,7 @@ def test_errors_of_templates_are_inflated_to_what_they_are(times: float) -> None
     template = np.array([[0.09, 0.04], [0.04, 0.06]])
     stated = template / OVERLAPPING + SMALLEST_PX**2 * np.eye(2)
     sides = []
-    for pose, covariance in ((poses[1], DEFINED_PX**2 * np.eye(2)), (poses[0], times**2 * stated)):
+    for pose, covariance in ((poses[1], SMALLEST_PX**2 * np.eye(2)), (poses[0], times**2 * stated)):
         left, right = rig.project(pose.to_camera(ground))
         off = random.multivariate_normal(np.zeros(2), covariance, count)
         sides += [left + off, right[:, 0] - left[:, 0] + 0.1 * random.standard_normal(count), np.full(count, 0.1)]

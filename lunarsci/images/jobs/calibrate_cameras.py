@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from lunarsci.errors import DataError, ParameterError, RequestError
+from lunarsci.errors import DataError, ParameterError
 from lunarsci.images.calibration import (
     BoardTarget,
     CameraCalibration,
@@ -23,10 +23,12 @@ from lunarsci.images.calibration import (
 )
 from lunarsci.images.camera import INTRINSICS, StereoRig, is_swapped, vector_of
 from lunarsci.images.jobs.requests import CalibrateCamerasRequest
+from lunarsci.images.labels import COARSE_PX
 from lunarsci.images.pictures import Picture, read_picture
 from lunarsci.images.rig_files import camera_text, rig_text
 from lunarsci.io.inputs import InputFile
 from lunarsci.options import request_of
+from lunarsci.ranges import refuse
 from lunarsci.result import Doubt, MadeFrom, Result, job
 
 if TYPE_CHECKING:
@@ -41,13 +43,9 @@ SOURCES = [
     "Bell & McCaffrey (2002), Surv. Methodol. 28, 169: errors from clusters",
 ]
 SIDES = ("left", "right")
-FOCAL_SHARE, MIDDLE_SHARE, BASELINE_SHARE = 0.01, 0.01, 0.01
+UNDETERMINED = 0.01
 """Errors as shares of the focal length, the picture's width and the baseline, from which these are not determined:
 assumed."""
-WORST_PX = 1.0
-"""Residual from which a calibration is not to be trusted; assumed."""
-SEEN_SHARE, EDGE_PX = 0.6, 1.0
-"""Share of the picture that boards must have covered, and error of a corner [px], beyond which it is said; assumed."""
 SWAPPED = (
     "left and right are swapped, or both cameras are upside down: the camera of `right` stands left of the other one; "
     "give its pictures first, and the others as `right`"
@@ -97,7 +95,7 @@ class CalibratedCameras(Result):
 
     @property
     def doubt(self) -> Doubt:
-        if self.calibration.residual_px > WORST_PX:
+        if self.calibration.residual_px > COARSE_PX:
             return Doubt.of(
                 f"the board's points are off by {self.calibration.residual_px:.2g} px; is it flat, and its size right?"
             )
@@ -157,16 +155,16 @@ class CalibratedCameras(Result):
             side = f" of the {camera.name}" if len(self.calibration.cameras) > 1 else ""
             cells = self._numbers(k)
             for name, largest in (
-                ("fx_px", FOCAL_SHARE * camera.fx_px),
-                ("fy_px", FOCAL_SHARE * camera.fy_px),
-                ("cx_px", MIDDLE_SHARE * camera.width_px),
-                ("cy_px", MIDDLE_SHARE * camera.height_px),
+                ("fx_px", UNDETERMINED * camera.fx_px),
+                ("fy_px", UNDETERMINED * camera.fy_px),
+                ("cx_px", UNDETERMINED * camera.width_px),
+                ("cy_px", UNDETERMINED * camera.height_px),
                 *((term, 0.5 * abs(cells[term])) for term in ("k1", "k2", "k3", "p1", "p2")),
             ):
                 if cells[f"{name}_sigma"] > largest:
                     word = "focal length" if name[0] == "f" else "principal point" if name[0] == "c" else "distortion"
                     lines.append(f"{word} {name}{side}: {cells[name]:.4g} ± {cells[f'{name}_sigma']:.2g}")
-        if self.calibration.baseline_m and self._baseline_sigma() > BASELINE_SHARE * self.calibration.baseline_m:
+        if self.calibration.baseline_m and self._baseline_sigma() > UNDETERMINED * self.calibration.baseline_m:
             lines.append(f"baseline: {self.calibration.baseline_m:.4g} ± {self._baseline_sigma():.2g} m")
         return lines
 
@@ -175,12 +173,8 @@ class CalibratedCameras(Result):
         fit = self.calibration
         notes = [f"errors are those of the residuals, {max(fit.between_pictures, 1):.2g} times, as pictures differ"]
         for k, camera in enumerate(fit.cameras):
-            if (share := _seen_share(fit, k)) < SEEN_SHARE:
-                notes.append(
-                    f"the board was seen in {share:.0%} of the {camera.name}'s picture; beyond is extrapolated"
-                )
-            if (edge := self._corner(k)) > EDGE_PX:
-                hint = "see the board there, or find fewer terms (--distortion)"
+            if (edge := self._corner(k)) > COARSE_PX:
+                hint = f"the board was seen in {_seen_share(fit, k):.0%} of it; find fewer terms (--distortion)"
                 notes.append(f"directions at the {camera.name}'s edge are uncertain by up to {edge:.1f} px: {hint}")
         if fit.tilt_deg < 30:
             notes.append(f"normals of the board lie within {fit.tilt_deg:.0f} deg; more tilt gives the focal length")
@@ -284,7 +278,7 @@ def calibrate_cameras(
     second = pictures_matching([right], "right") if isinstance(right, str) else right
     sides = [list(side) for side in (of_moments(first, second) if second else (first,))]
     shown = [[read_picture(one) for one in side] for side in sides]
-    _check_sizes(shown)
+    refuse(_faults(shown), "", DataError)
     count = 1 + sum(map(len, shown))
     seen = []
     for n, side in enumerate(shown):
@@ -293,7 +287,6 @@ def calibrate_cameras(
     if len(shown) > 1 and target.kind != "charuco":
         seen[1] = [b if a is None or b is None else alike_turned(a, b) for a, b in zip(*seen, strict=True)]
     names = [[picture.source.name for picture in side] for side in shown]
-    _check_names(names)
     moments = [(tuple(s[k] for s in seen), tuple(n[k] for n in names)) for k in range(len(sides[0]))]
     used = [(view, files) for view, files in moments if any(s is not None for s in view)]
     fit = calibrate([v for v, _ in used], target, [side[0].size for side in shown], distortion=asked.distortion)
@@ -327,17 +320,13 @@ def _sightings(pictures: Sequence[Picture], target: BoardTarget, step: Callable[
     return seen
 
 
-def _check_names(names: Sequence[Sequence[str]]) -> None:
-    every = [name for side in names for name in side]
-    if twice := next((name for name in every if every.count(name) > 1), None):
-        raise DataError(f"{twice}: is given twice; each picture counts once")
-
-
-def _check_sizes(shown: Sequence[Sequence[Picture]]) -> None:
+def _faults(shown: Sequence[Sequence[Picture]]) -> Iterator[str]:
+    """What speaks against the pictures of one camera or two."""
+    names = [picture.source.name for side in shown for picture in side]
+    yield from (f"{name}: is given twice; each picture counts once" for name in names if names.count(name) > 1)
     for side in shown:
-        if not side:
-            raise RequestError("no pictures; give those of the board")
+        yield from () if side else ("no pictures; give those of the board",)
         for picture in side:
             if picture.size != side[0].size:
                 sizes = (" x ".join(map(str, p.size)) for p in (picture, side[0]))
-                raise DataError(f"{picture.source.name}: {' px, the first one '.join(sizes)}; one camera has one size")
+                yield f"{picture.source.name}: {' px, the first one '.join(sizes)}; one camera has one size"

@@ -11,7 +11,7 @@ import numpy as np
 from lunarsci.images.camera import Pose, StereoRig
 from lunarsci.images.elevation import ElevationModel
 from lunarsci.images.gridding import grid_of, levelled
-from lunarsci.images.jobs.requests import DemRequest
+from lunarsci.images.jobs.requests import CamerasRequest, DemRequest
 from lunarsci.images.matching import StereoMatches, match
 from lunarsci.images.pictures import read_picture
 from lunarsci.images.rig_files import check_rig_of, read_pose, read_rig
@@ -33,9 +33,8 @@ STATEMENTS = (
     "common errors are those of the rig's covariance; an error of the pose comes on top",
 )
 HONEST = 3.0
-"""Heights are gridded as far as the range's error, at 0.2 px, is so many cells; assumed."""
-TYPICAL_SIGMA_PX = 0.2
-"""Error of a disparity on ground with texture: assumed, where no pair has been looked at."""
+"""Heights are gridded as far as the range's error is so many cells, at the disparity's error by which `images cameras`
+judges ranges; assumed. Option `farthest` says otherwise."""
 RANGES_M = (0.0, 2.0, 3.0, 4.0, 6.0, 9.0, 15.0, math.inf)
 
 
@@ -151,5 +150,5 @@ def nearest_ground_m(rig: StereoRig, pose: Pose | None, mast_m: float) -> float:
 
 
 def farthest_ground_m(rig: StereoRig, spacing_m: float) -> float:
-    """Range at which its error, at 0.2 px, is three cells. [m]"""
-    return math.sqrt(HONEST * spacing_m * rig.left.fx_px * rig.baseline_m / TYPICAL_SIGMA_PX)
+    """Range at which its error is three cells. [m]"""
+    return math.sqrt(HONEST * spacing_m / float(rig.range_error_m(1.0, CamerasRequest().disparity_error)))

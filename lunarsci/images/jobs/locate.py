@@ -22,6 +22,7 @@ from lunarsci.io.documents import toml_document
 from lunarsci.io.inputs import InputFile, read_input, text
 from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
+from lunarsci.ranges import refuse
 from lunarsci.result import Doubt, MadeFrom, Progress, Result, job
 
 if TYPE_CHECKING:
@@ -36,8 +37,6 @@ SOURCES = [
 ]
 SIDES = ("left", "right")
 ENDINGS = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
-LEAST_DRIFT_M = 0.02
-"""Error of dead reckoning that is left without any way; assumed. [m]"""
 FIRST_M = 0.001
 """Error of the first place in the table, which is exact by definition: readers need one above 0; assumed."""
 ATTITUDE = ("rover_yaw_deg", "rover_pitch_deg", "rover_roll_deg")
@@ -191,11 +190,15 @@ def locate(
     Raises DataError for folders that are none and pairs that do not match, RequestError for fewer than two.
     """
     asked = request_of(LocateRequest, request, options)
-    if len(stations) < 2:
-        raise RequestError("one station has nothing to be tied to; give two or more folders")
+    whole = [Path(folder).resolve() for folder in stations]
+    reasons = ["one station has nothing to be tied to; give two or more folders"] if len(whole) < 2 else [
+        f"{folder} is given twice; each station is a folder of its own"
+        for k, folder in enumerate(stations) if whole[k] in whole[:k]
+    ]  # fmt: skip
+    refuse(reasons, kind=RequestError)
     rig = read_rig(asked.rig)
     inputs: dict[str, str] = {}
-    names = _names([Path(folder) for folder in stations])
+    names = _names(whole)
     read = [_read(Path(folder), rig, asked, inputs) for folder in stations]
     count = len(stations)
     report = progress or (lambda done, total: None)
@@ -208,12 +211,8 @@ def locate(
     return LocatedStations(localised=result, rig=rig, inputs=inputs, synthetic=made_up)
 
 
-def _names(folders: Sequence[Path]) -> list[str]:
-    """Names of folders, with those above them where two have the same. Raises RequestError for one given twice."""
-    whole = [folder.resolve() for folder in folders]
-    if len(set(whole)) < len(whole):
-        twice = next(str(folder) for k, folder in enumerate(folders) if whole[k] in whole[:k])
-        raise RequestError(f"{twice} is given twice; each station is a folder of its own")
+def _names(whole: Sequence[Path]) -> list[str]:
+    """Names of folders, with those above them where two have the same."""
     for depth in range(1, 1 + max(len(path.parts) for path in whole)):
         names = ["-".join(path.parts[-depth:]).strip("-/") for path in whole]
         if len(set(names)) == len(names):
@@ -261,7 +260,7 @@ def _station(name: str, content: _Read, rig: StereoRig, asked: LocateRequest, be
         name=name,
         matches=match(content.left, content.right, rig, nearest_m=nearest),
         pose=content.pose,
-        covariance=_covariance(content.pose, before, asked),
+        covariance=_covariance(content.pose, before, asked, rig.height_m),
         time_s=content.time_s,
         rover=content.rover,
     )
@@ -293,9 +292,12 @@ def _picture(folder: Path, side: str) -> Path:
     raise DataError(f"{folder}: no {side}.png; a station is a folder with left.png, right.png and pose.toml")
 
 
-def _covariance(pose: Pose, before: Station | None, asked: LocateRequest) -> FloatArray:
-    """Of dead reckoning: of direction, and of the step from the station before. (6, 6)"""
+def _covariance(pose: Pose, before: Station | None, asked: LocateRequest, height_m: float) -> FloatArray:
+    """Of dead reckoning: of direction, and of the step from the station before. (6, 6)
+
+    A camera at `height_m` over the wheels is moved by their way, and by what the rover leans at both stations.
+    """
     way = 0.0 if before is None else float(np.linalg.norm(pose.center_m - before.pose.center_m))
-    step = math.hypot(asked.drift * way, LEAST_DRIFT_M)
     tilt, turn = math.radians(asked.tilt_error), math.radians(asked.heading_error)
+    step = math.hypot(asked.drift * way, math.sqrt(2) * tilt * height_m)
     return np.diag(np.square([tilt, tilt, turn, step, step, step]))

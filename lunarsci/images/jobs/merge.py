@@ -20,6 +20,7 @@ from lunarsci.images.jobs.requests import MergeRequest
 from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.options import request_of
+from lunarsci.ranges import refuse
 from lunarsci.result import Doubt, MadeFrom, Result, job
 
 if TYPE_CHECKING:
@@ -122,16 +123,17 @@ def merge(
 def read_positions(source: InputFile, count: int) -> list[StationPosition]:
     """Positions of stations from CSV, a row for each. Raises DataError."""
     table = read_csv_table(source)
-    for name in NEEDED[:2]:
-        if name not in table:
-            raise DataError(f"{source.name}: no column {name}; there are: {', '.join(map(str, table.columns))}")
-    if len(table) != count:
-        raise DataError(f"{source.name}: {len(table)} rows for {count} elevation models; give one for each, in order")
+    listed = {str(name) for name in table}
+    reasons = {
+        f"no column x_m or y_m; there are: {', '.join(map(str, table.columns))}": not {"x_m", "y_m"} <= listed,
+        f"{len(table)} rows for {count} elevation models; give one for each, in order": len(table) != count,
+        "no errors of the positions; add sigma_m, or xx_m2, xy_m2, yy_m2 and zz_m2":
+            not ("sigma_m" in listed or {*ERRORS[:3]} <= listed),
+    }  # fmt: skip
+    refuse((reason for reason, applies in reasons.items() if applies), source.name, DataError)
     columns = {
         name: numbers_of(source.name, name, table[name]) for name in (*NEEDED, *ERRORS, "sigma_m") if name in table
     }
-    if "sigma_m" not in columns and not all(name in columns for name in ERRORS[:3]):
-        raise DataError(f"{source.name}: no errors of the positions; add sigma_m, or xx_m2, xy_m2, yy_m2 and zz_m2")
     flat = np.zeros(count)
     square = columns["sigma_m"] ** 2 if "sigma_m" in columns else flat
     xx, yy = columns.get("xx_m2", square), columns.get("yy_m2", square)

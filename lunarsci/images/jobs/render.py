@@ -30,10 +30,9 @@ SOURCES = [
     "Hapke (2012), 10.1017/CBO9781139025683: how regolith scatters light",
     "Tevs, Ihrke & Seidel (2008), 10.1145/1342250.1342279: rays through height fields",
 ]
-FLAT_M = 24.0
-"""Side of the level ground that is there where no terrain is given; assumed. [m]"""
-COARSE_M = 0.25
-"""Spacing of that ground; assumed, level ground needs no finer one. [m]"""
+FLAT_M, COARSE_M = 24.0, 0.25
+"""Side, assumed, and spacing of the level ground that is there where no terrain is given: it gets waves of up to four
+spacings. [m]"""
 TRUTH_STEP_M = 2.0**-16
 """To which places of the truth are rounded, 15 micrometres: its file is a third as large then. [m]"""
 

@@ -11,6 +11,7 @@ from typing import Any, Literal
 from lunarsci.errors import RequestError
 from lunarsci.images import LengthUnit
 from lunarsci.options import check_intervals
+from lunarsci.ranges import refuse
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,13 +42,15 @@ class CalibrateCamerasRequest:
     name: str = "calibrated"
 
     def __post_init__(self) -> None:
-        if not re.fullmatch(r"\d{1,3}x\d{1,3}", self.board):
-            raise RequestError(f"`board` is '{self.board}'; give columns and rows, such as 9x6")
         check_intervals(self, {"(0, 100)": "square", "[0, 0.5)": "square_error"})
-        if self.distortion not in (0, 1, 2, 4, 5):
-            raise RequestError(f"`distortion` is {self.distortion}; give 0, 1, 2, 4 or 5 terms")
-        if self.target == "charuco" and not 0 < self.marker < self.square:
-            raise RequestError("`marker`: give the side of the markers in m, less than that of `square`")
+        reasons = {
+            f"`board` is '{self.board}'; give columns and rows, such as 9x6":
+                not re.fullmatch(r"\d{1,3}x\d{1,3}", self.board),
+            f"`distortion` is {self.distortion}; give 0, 1, 2, 4 or 5 terms": self.distortion not in (0, 1, 2, 4, 5),
+            "`marker`: give the side of the markers in m, less than that of `square`":
+                self.target == "charuco" and not 0 < self.marker < self.square,
+        }  # fmt: skip
+        refuse((reason for reason, applies in reasons.items() if applies), kind=RequestError)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -222,15 +225,17 @@ class RocksRequest:
 
     def __post_init__(self) -> None:
         check_intervals(self, {"[0.02, 5]": "largest", "(0, 1)": "false_share", "[0, 100)": "margin"})
-        if not all(0.01 <= size <= self.largest for size in self.diameters()):
-            raise RequestError(f"`sizes` '{self.sizes}' are not between 0.01 m and `largest`")
+        self.diameters()
 
     def diameters(self) -> tuple[float, ...]:
         """`sizes` as numbers. Raises RequestError."""
         try:
-            return tuple(float(part) for part in self.sizes.split(",") if part.strip())
-        except ValueError as error:
-            raise RequestError(f"`sizes` '{self.sizes}' are no numbers with commas between them") from error
+            sizes = tuple(float(part) for part in self.sizes.split(",") if part.strip())
+        except ValueError:
+            sizes = (0.0,)
+        if not all(0.01 <= size <= self.largest for size in sizes):
+            raise RequestError(f"`sizes` '{self.sizes}': give numbers from 0.01 m to `largest`, commas between them")
+        return sizes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

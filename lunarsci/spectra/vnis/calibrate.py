@@ -12,16 +12,17 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, LunarSciError, LunarSciWarning, ParameterError
+from lunarsci.ranges import refuse
 from lunarsci.spectra.photometry import correction_factor, remarks
 from lunarsci.spectra.solar import sun_moon_distance_au
 from lunarsci.spectra.vnis.calibration import Calibration, CalibrationFailure
-from lunarsci.spectra.vnis.channels import SWIR_NM, VNIR_NM, Detector, channel_doubts
+from lunarsci.spectra.vnis.channels import IMAGE_NM, SWIR_NM, VNIR_NM, Detector, channel_doubts
 from lunarsci.spectra.vnis.detector import (
     IN_FLIGHT_VERSION,
+    RANGE,
     WAVELENGTHS,
     DetectorSpectrum,
     Settings,
-    check_jumps,
     default_settings,
     irradiance_at,
     measure,
@@ -42,17 +43,11 @@ from lunarsci.spectra.vnis.splice import GAIN_LIMIT, STEP_LIMIT, Shift, Splice, 
 # What is too little, too dark or too bright to go on with: assumed, each far from what the public spectra have.
 _LEAST_LIT = 0.01
 _MUCH_SHADOW, _MOST_SHADOW = 0.3, 0.9
-_DARK = 0.01
-_BRIGHT = 2.0
 _SWIR_PLATEAU = 3
 _GRAZING_DEG = 80.0
 _NOTED_STEP_SIGMAS = 3.0
 _FLAT = 0.04
 """Sunlight on the Moon varies by some 15 % (standard deviation) from 450 to 945 nm; assumed."""
-_GAINS, _STEPS = (0.6, 1.6), (0.7, 1.4)
-"""Factors beyond which two spectra are not of one target with one instrument; assumed."""
-_IMAGE_NM = 750.0
-"""Channel that is shown as the picture of the ground; assumed, bright and free of noise."""
 
 
 class _Notes:
@@ -162,7 +157,7 @@ def calibrate(observation: Observation, settings: Settings | None = None) -> Cal
         swir=swir,
         splice=splice,
         footprint=footprint,
-        image=np.array(observation.cube[int(np.flatnonzero(VNIR_NM == _IMAGE_NM)[0])]),
+        image=np.array(observation.cube[int(np.flatnonzero(VNIR_NM == IMAGE_NM)[0])]),
         photometry=chosen.photometry,
         phase=chosen.phase.name if chosen.photometry != "none" else "none",
         solar=chosen.solar.name,
@@ -211,25 +206,16 @@ def _lit_footprint(observation: Observation, settings: Settings, limit: float, n
     shadowed = int(footprint.shadowed.sum())
     share = f"{100 * shadowed / inside:.0f} % of the footprint is in shadow"
     flat = lit > 0 and np.nanstd(footprint.mean) < _FLAT * np.nanmean(footprint.mean)
-    for wrong, what in (
-        (
-            lit < _LEAST_LIT * inside,
-            f"{lit} of {inside} pixels of the footprint are lit and valid (reflectance at {SHADOW_BAND_NM:g} nm from "
-            f"{settings.shadow_limit:g} on); nothing to average, see `shadow`",
-        ),
-        (shadowed > _MOST_SHADOW * inside, f"{share}; what is left of it says little, leave the observation out"),
-        (
+    reasons = {
+        f"{lit} of {inside} pixels of the footprint are lit and valid (reflectance at {SHADOW_BAND_NM:g} nm from "
+        f"{settings.shadow_limit:g} on); nothing to average, see `shadow`": lit < _LEAST_LIT * inside,
+        f"{share}; what is left of it says little, leave the observation out": shadowed > _MOST_SHADOW * inside,
+        "no usable image from 900 nm on to tell how shadows dilute SWIR; fetch the cube again":
             not 0 < footprint.dilution <= 1.5,
-            "no usable image from 900 nm on to tell how shadows dilute SWIR; fetch the cube again",
-        ),
-        (
-            flat,
-            "all images are equally bright, which sunlit ground is not; the axes of the cube are not band, line, "
-            "sample, fetch it again",
-        ),
-    ):
-        if wrong:
-            raise DataError(f"{observation.id}: {what}")
+        "all images are equally bright, which sunlit ground is not; the axes of the cube are not band, line, sample, "
+        "fetch it again": flat,
+    }  # fmt: skip
+    refuse((reason for reason, applies in reasons.items() if applies), observation.id, DataError)
     if shadowed > _MUCH_SHADOW * inside:
         notes.warn(share)
     if shadowed:
@@ -320,7 +306,6 @@ def _measured(
             item = measure(detector, label, retained, mean_error, irradiance, correction)
     except ParameterError as error:
         raise DataError(f"{id}: {error}") from error
-    check_jumps(id, detector.upper(), item.wavelength_nm, item.observed)
     for doubt in channel_doubts(detector, wavelength, item.radiance, irradiance, item.observed):
         notes.doubt(doubt)
     return item
@@ -330,17 +315,13 @@ def _check_level(item: DetectorSpectrum, label: Label, id: str) -> None:
     """A spectrum must be as bright as lit lunar ground, whatever the correction."""
     level = float(np.nanmedian(item.observed)) if np.isfinite(item.observed).any() else np.nan
     name = item.detector.upper()
-    for wrong, what in (
-        (not np.isfinite(level), f"no {name} channel has a usable radiance; fetch the {label.name.kind} product again"),
-        (level < _DARK, f"{name} is dark (median reflectance {level:.2g}): shadow or no light; leave it out"),
-        (
-            level > _BRIGHT,
-            f"{name} is brighter than any rock (median reflectance {level:.3g}); radiance is not in W m-2 sr-1 nm-1, "
-            "or the label's Sun is wrong; fetch the product again",
-        ),
-    ):
-        if wrong:
-            raise DataError(f"{id}: {what}")
+    reasons = {
+        f"no {name} channel has a usable radiance; fetch the {label.name.kind} product again": not np.isfinite(level),
+        f"{name} is dark (median reflectance {level:.2g}): shadow or no light; leave it out": level < RANGE[0],
+        f"{name} is brighter than any rock (median reflectance {level:.3g}); radiance is not in W m-2 sr-1 nm-1, or "
+        "the label's Sun is wrong; fetch the product again": level > RANGE[1],
+    }
+    refuse((reason for reason, applies in reasons.items() if applies), id, DataError)
 
 
 def _spliced(
@@ -356,15 +337,6 @@ def _spliced(
         )
     except DataError as error:
         raise DataError(f"{id}: cannot be spliced: {error}; fetch both products again") from error
-    for factor, (low, high), what in (
-        (splice.gain, _GAINS, "VNIR to SWIR"),
-        (splice.step.factor, _STEPS, "the SWIR step"),
-    ):
-        if not low <= factor <= high:
-            raise DataError(
-                f"{id}: cannot be spliced: {what} would take a factor of {factor:.3g}; the products do not belong "
-                "together or one is damaged, fetch both again"
-            )
     for factor, limit, what in (
         (splice.gain, GAIN_LIMIT, "VNIR to SWIR differs by"),
         (splice.step.factor, STEP_LIMIT, "the step at 1375/1380 nm is"),

@@ -14,7 +14,7 @@ from lunarsci.figure import BLUE, VERMILION, as_label, headline, page
 from lunarsci.provenance import plain
 from lunarsci.spectra.photometry import STANDARD
 from lunarsci.spectra.spectrum import Spectrum
-from lunarsci.spectra.vnis.channels import FOOTPRINT, SPLICED_NM
+from lunarsci.spectra.vnis.channels import SPLICED_NM, footprint_ring
 from lunarsci.spectra.vnis.detector import DetectorSpectrum
 from lunarsci.spectra.vnis.footprint import Footprint
 from lunarsci.spectra.vnis.splice import Splice
@@ -242,9 +242,10 @@ def _description(calibrations: Sequence[Calibration]) -> dict[str, Any]:
     }
 
 
-COLORS = {"vnir": BLUE, "swir": VERMILION}
-DASHES: Any = {"vnir": "-", "swir": (0, (5, 1.2))}
-"""Okabe & Ito (2008), Color Universal Design."""
+LOOKS: Any = {
+    "vnir": {"color": BLUE, "linestyle": "-"},
+    "swir": {"color": VERMILION, "linestyle": (0, (5, 1.2))},
+}
 _SHADOW, _INVALID = (0.0, 0.62, 0.45, 0.8), (0.8, 0.47, 0.65, 0.9)
 
 
@@ -274,32 +275,28 @@ def _draw_image(axes: Any, item: Calibration) -> None:
             overlay[pixels] = color
             axes.imshow(overlay, interpolation="nearest")
             axes.plot([], [], "s", color=color, label=f"{name}, left out: {int(pixels.sum())} px")
-    turn = np.linspace(0, 2 * np.pi, 181)
-    line, sample, radius = FOOTPRINT
     lit, inside = int(item.footprint.lit.sum()), int(item.footprint.inside.sum())
-    label = f"SWIR field of view: {lit} of {inside} px used"
-    draw_footprint(axes, sample + radius * np.cos(turn), line + radius * np.sin(turn), label)
+    draw_footprint(axes, f"SWIR field of view: {lit} of {inside} px used")
     axes.set(xlabel="sample [px]", ylabel="line [px]", title="VNIR image at 750 nm")
     _legend(axes)
 
 
-def draw_footprint(axes: Any, x: Any, y: Any, label: str) -> None:
-    """A ring that is seen on bright and on dark ground."""
-    axes.plot(x, y, color="black", linewidth=2.4)
-    axes.plot(x, y, color="#F0E442", linewidth=1.2, label=label)
+def draw_footprint(axes: Any, label: str) -> None:
+    """The SWIR field of view, as a ring that is seen on bright and on dark ground."""
+    axes.plot(*footprint_ring(), color="black", linewidth=2.4)
+    axes.plot(*footprint_ring(), color="#F0E442", linewidth=1.2, label=label)
 
 
 def _draw_radiance(axes: Any, item: Calibration) -> None:
     for detector in (item.vnir, item.swir):
-        look: Any = {"color": COLORS[detector.detector], "linestyle": DASHES[detector.detector]}
-        axes.plot(detector.wavelength_nm, detector.radiance, label=_name(detector), **look)
+        axes.plot(detector.wavelength_nm, detector.radiance, label=_name(detector), **LOOKS[detector.detector])
     counted = item.footprint
     scale = np.divide(item.vnir.radiance, counted.mean, out=np.ones(counted.mean.size), where=counted.mean > 0)
     axes.fill_between(
         item.vnir.wavelength_nm,
         item.vnir.radiance - counted.scatter * scale,
         item.vnir.radiance + counted.scatter * scale,
-        color=COLORS["vnir"],
+        color=LOOKS["vnir"]["color"],
         alpha=0.2,
         linewidth=0,
         label="scatter of its pixels",
@@ -322,10 +319,10 @@ def _name(detector: DetectorSpectrum) -> str:
 def _draw_reflectance(axes: Any, item: Calibration) -> None:
     corrected = item.photometry != "none"
     for detector in (item.vnir, item.swir):
-        color = COLORS[detector.detector]
-        axes.plot(detector.wavelength_nm, detector.observed, color=color, alpha=0.6, linestyle=":")
+        look = LOOKS[detector.detector]
+        axes.plot(detector.wavelength_nm, detector.observed, **look | {"alpha": 0.6, "linestyle": ":"})
         if corrected:
-            axes.plot(detector.wavelength_nm, detector.corrected, color=color, linestyle=DASHES[detector.detector])
+            axes.plot(detector.wavelength_nm, detector.corrected, **look)
     axes.plot([], [], color="0.4", alpha=0.6, linestyle=":", label="at the angles of measurement")
     if corrected:
         axes.plot([], [], color="0.4", label=f"at i 30°, e 0°, g 30° ({item.photometry}, {item.phase})")

@@ -5,12 +5,13 @@ exceeds one), with a margin; the figures below were found by spoiling these spec
 """
 
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.arrays import SIGNIFICANCE, BoolArray, FloatArray, robust_scatter
 from lunarsci.errors import ParameterError
 from lunarsci.io.tables import table_rows
 
@@ -31,6 +32,8 @@ VNIR_SUB_BANDS_NM = (632.5, 757.5)
 """So does that of VNIR, twice: measured, as steps of the 88 public spectra. [nm]"""
 CUBE_SHAPE = (100, 256, 256)
 """Bands, lines, samples of the image cube."""
+IMAGE_NM = 750.0
+"""Channel of pictures and albedos, as that of the Moon mostly is: Lucey et al. (2000), 10.1029/1999JE001117. [nm]"""
 FOOTPRINT = (127.0, 97.0, 53.8)
 """Line and sample (from 0) of the centre and radius of the SWIR field of view in the VNIR image, as the product labels
 state it (CNSA 2020, Lunar and Planetary Data Release System; line 128, sample 98, counted from 1). [px]"""
@@ -71,6 +74,12 @@ def footprint_mask() -> BoolArray:
     return mask
 
 
+def footprint_ring() -> tuple[FloatArray, FloatArray]:
+    """Samples and lines of the edge of the SWIR field of view in the VNIR image. (181,), (181,) [px]"""
+    turn, (line, sample, radius) = np.linspace(0, 2 * np.pi, 181), FOOTPRINT
+    return sample + radius * np.cos(turn), line + radius * np.sin(turn)
+
+
 def _by_channel(table: str, wavelength_nm: FloatArray, detector: Detector, names: tuple[str, ...]) -> list[FloatArray]:
     wavelength = np.asarray(wavelength_nm, dtype=float)
     rows = [row for row in table_rows(table) if row["detector"] == detector]
@@ -84,30 +93,27 @@ def _by_channel(table: str, wavelength_nm: FloatArray, detector: Detector, names
 
 _SHIFTS = (-2, -1, 1, 2)
 _LARGEST_SHIFT = 2
-_CLIPPED = 4.0
-"""Second differences beyond so many times their median are single outliers; assumed."""
 _CLEARER, _SURE = 0.1, 4.0
 """How much better lines of the Sun must fit elsewhere, as a difference of correlations, and how well: in standard
 deviations of what noise of n channels gives, 1 / sqrt(n). Measured: of the 88 spectra all fit best where they are, VNIR
 by 0.059 at least, SWIR by 0.019. Shifted by a channel up or down, 85 and 85 of 88 are found in VNIR, 79 and 77 in SWIR.
 [-]"""
-_LEAST = 40
-"""Channels that are needed to tell; assumed."""
 
 
 def displaced_channels(radiance: FloatArray, irradiance: FloatArray) -> int:
     """By how many channels the lines of the Sun lie off their place, towards longer wavelengths; 0 if they do not.
 
     Radiance is sunlight times something smooth: second differences of ln L from channel to channel follow those of
-    ln E0. `radiance` and `irradiance` have one shape (n,), NaN where a channel is not used; 1 and 2 are tried.
+    ln E0. `radiance` and `irradiance` have one shape (n,), NaN where a channel is not used; 1 and 2 are tried. Outliers
+    count no more than what `SIGNIFICANCE` of normal ones exceed.
     """
     inner = slice(_LARGEST_SHIFT, radiance.size - _LARGEST_SHIFT)
     with np.errstate(invalid="ignore", divide="ignore"):
         bends = np.diff(np.log(radiance[inner]), n=2)
     good = np.isfinite(bends)
-    if good.sum() < _LEAST:
+    if not good.any():
         return 0
-    limit = _CLIPPED * np.median(np.abs(bends[good]))
+    limit = NormalDist().inv_cdf(1 - SIGNIFICANCE / 2) * robust_scatter(bends[good], 0.0)
     seen = np.clip(bends[good], -limit, limit)
     fits = {}
     for shift in (0, *_SHIFTS):
@@ -138,15 +144,13 @@ _EDGES: dict[Detector, tuple[_Edge, ...]] = {
 """Measured, largest of the 88 spectra: VNIR 0.185 and 8.2 times the median, SWIR 0.077 with 5 channels on either side
 and 0.054 with 8; of 409 laboratory spectra at 5 nm 0.025 and 0.041. [-]"""
 _SITES_NM: dict[Detector, tuple[float, ...]] = {"vnir": VNIR_SUB_BANDS_NM, "swir": (SUB_BAND_STEP_NM,)}
-_AROUND_NM = 30.0
-"""Around the ends of sub-bands, where steps are usual, none is looked for; assumed. [nm]"""
 
 
 def scale_step(detector: Detector, wavelength_nm: FloatArray, reflectance: FloatArray) -> tuple[float, float]:
     """The largest step between neighbouring channels that no rock has, as ln R, and where; (0, 0) if there is none.
 
-    A straight line with a jump is fitted to ln R of some channels on either side of every place but the ends of
-    sub-bands. Arrays have one shape (n,), NaN where a channel is not used. [nm]
+    A straight line with a jump is fitted to ln R of some channels on either side of every place, but where these reach
+    over the end of a sub-band. Arrays have one shape (n,), NaN where a channel is not used. [nm]
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         finite = np.flatnonzero(np.isfinite(np.log(reflectance)))
@@ -157,7 +161,7 @@ def scale_step(detector: Detector, wavelength_nm: FloatArray, reflectance: Float
         if ln.size < 4 * side:
             continue
         steps, at = _steps(ln, side), (nm[side - 1 : ln.size - side] + nm[side : ln.size - side + 1]) / 2
-        free = np.all([np.abs(at - site) > _AROUND_NM for site in _SITES_NM[detector]], axis=0)
+        free = np.all([np.abs(at - site) > 5 * side for site in _SITES_NM[detector]], axis=0)
         size = np.abs(steps[free])
         limit = min(edge.most, max(edge.least, edge.times * float(np.median(size))))
         place = int(size.argmax())

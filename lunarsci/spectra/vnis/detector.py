@@ -6,12 +6,14 @@ Also what a calibration can be told: irradiance, photometric model, shadow limit
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
+from statistics import NormalDist
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.arrays import SIGNIFICANCE, BoolArray, FloatArray
+from lunarsci.errors import DataError
 from lunarsci.io.inputs import InputFile
+from lunarsci.ranges import ACUTE_DEG, POSITIVE, check_each, check_range
 from lunarsci.spectra.photometry import TABLE as PHASE_TABLE
 from lunarsci.spectra.photometry import Geometry, PhaseFunction, SelenePhase, phase_function
 from lunarsci.spectra.rows import named_table
@@ -43,8 +45,6 @@ IN_FLIGHT_VERSION = 2.0
 since 2019-07-09 (CNSA 2019, Lunar and Planetary Data Release System)."""
 
 WAVELENGTHS: dict[Detector, FloatArray] = {"vnir": VNIR_NM, "swir": SWIR_NM}
-_FACTOR_RANGE = (0.2, 5.0)
-"""A detector further off has failed; assumed."""
 
 
 def reflectance_factor(
@@ -64,10 +64,8 @@ def reflectance_factor(
     Hapke (2012), Theory of Reflectance and Emittance Spectroscopy, 10.1017/CBO9781139025683; Ding et al. (2024),
     10.1038/s41467-024-46233-8 (their equation 29).
     """
-    if not 0 <= incidence_deg < 90:
-        raise ParameterError(f"incidence is {incidence_deg:g} deg; it must be from 0 to below 90")
-    if not (distance_au > 0 and (np.asarray(irradiance) > 0).all()):
-        raise ParameterError("distance and irradiance must be above 0")
+    sun = {"incidence": incidence_deg, "distance": distance_au, "irradiance": float(np.min(irradiance))}
+    check_each("the Sun's", sun, {"incidence": f"{ACUTE_DEG}; in deg", "distance": POSITIVE, "irradiance": POSITIVE})
     factor: FloatArray = np.pi * radiance * distance_au**2 / (irradiance * np.cos(np.radians(incidence_deg)))
     return factor
 
@@ -84,13 +82,13 @@ class ChannelFactors:
 def read_channel_factors(source: InputFile) -> ChannelFactors:
     """Read a CSV file with the columns `detector` (vnir or swir), `wavelength_nm` and `factor`, one row per channel.
 
-    Raises DataError for other columns, missing or repeated channels, and factors outside 0.2 to 5.
+    Raises DataError for other columns, missing or repeated channels, and factors that are not above 0.
     """
     table = named_table(source, "detector", "wavelength_nm", "factor")
     detector = np.array([cell.lower() for cell in table.cells("detector")])
-    wavelength, factor, (low, high) = table.numbers("wavelength_nm"), table.numbers("factor"), _FACTOR_RANGE
+    wavelength, factor = table.numbers("wavelength_nm"), table.numbers("factor")
     table.refuse(~np.isin(detector, ("vnir", "swir")), "detector", "the detector is vnir or swir")
-    table.refuse(~((factor >= low) & (factor <= high)), "factor", f"factors are numbers from {low:g} to {high:g}")
+    table.refuse(~((factor > 0) & np.isfinite(factor)), "factor", "factors are numbers above 0")
     result = []
     for name, channels in WAVELENGTHS.items():
         order = np.flatnonzero(detector == name)[np.argsort(wavelength[detector == name])]
@@ -130,8 +128,7 @@ class Settings:
     inputs: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not 0 <= self.shadow_limit < 1:
-            raise ParameterError(f"the shadow limit is {self.shadow_limit:g}; give a reflectance from 0 to below 1")
+        check_range("the shadow limit", self.shadow_limit, "[0, 1)", "a reflectance")
 
     @property
     def tables(self) -> tuple[str, ...]:
@@ -156,9 +153,10 @@ def default_settings() -> Settings:
     )
 
 
-_NOISY = 1.4
-"""A sub-band whose channels scatter more than so many times the instrument's figures has its errors enlarged; assumed.
-Without excess the estimate itself scatters by 0.1 to 0.2."""
+_NOISY = 1 + 0.15 * NormalDist().inv_cdf(1 - SIGNIFICANCE / 2)
+"""A sub-band whose channels scatter more than so many times the instrument's figures has its errors enlarged: 1.39,
+which `SIGNIFICANCE` of sub-bands exceed by chance, since without excess the estimate was seen to scatter by 0.1 to
+0.2."""
 _SUB_BANDS_NM: dict[Detector, tuple[float, ...]] = {"vnir": VNIR_SUB_BANDS_NM, "swir": (SUB_BAND_STEP_NM, 1997.5)}
 """Where the filters change their sub-bands: see `SUB_BAND_STEP_NM`; that at 1997.5 nm only splits the scatter,
 assumed."""
@@ -179,7 +177,7 @@ class DetectorSpectrum:
     relative_sigma : error independent between channels, over the reflectance: noise, fixed pattern and, for the image,
         the standard error of the mean over the pixels. [-]
     excess : scatter between neighbouring channels over what the instrument's figures make of it, in each sub-band;
-        `relative_sigma` is enlarged by it where it is above 1.4.
+        `relative_sigma` is enlarged by it where it is above 1.39.
     """
 
     detector: Detector
@@ -259,7 +257,7 @@ def _excess(detector: Detector, wavelength: FloatArray, observed: FloatArray, fi
     return excess
 
 
-_RANGE = (0.001, 2.0)
+RANGE = (0.001, 2.0)
 """Reflectance factors that lit lunar ground may have; assumed. [-]"""
 _NEIGHBOURS = 5
 _FAR: dict[Detector, float] = {"vnir": 0.3, "swir": 0.12}
@@ -267,9 +265,6 @@ _FAR: dict[Detector, float] = {"vnir": 0.3, "swir": 0.12}
 0.09 in SWIR, 409 laboratory spectra at 5 nm up to 0.07 and 0.03. [-]"""
 _FAR_MEDIANS, _SCATTER = 9.0, 15
 """In noise, this many times the median of so many channels on either side: six standard deviations. Assumed."""
-_JUMP = 0.3
-"""ln R of blocks of five channels; measured: 88 Chang'E-4 spectra have up to 0.27, at 635 nm. [-]"""
-_SIDE = 5
 
 
 def outlying(detector: Detector, reflectance: FloatArray) -> BoolArray:
@@ -279,7 +274,7 @@ def outlying(detector: Detector, reflectance: FloatArray) -> BoolArray:
     them, and so on to the fifth.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
-        absurd = np.isfinite(reflectance) & ~((reflectance >= _RANGE[0]) & (reflectance <= _RANGE[1]))
+        absurd = np.isfinite(reflectance) & ~((reflectance >= RANGE[0]) & (reflectance <= RANGE[1]))
         ln = np.log(np.where(absurd | ~(reflectance > 0), np.nan, reflectance))
     finite = np.flatnonzero(np.isfinite(ln))
     if finite.size < 2 * _NEIGHBOURS:
@@ -294,19 +289,3 @@ def outlying(detector: Detector, reflectance: FloatArray) -> BoolArray:
     nearby = np.lib.stride_tricks.sliding_window_view(np.pad(off, beside, mode="reflect"), 2 * beside + 1)
     far[finite] = off > np.maximum(_FAR[detector], _FAR_MEDIANS * np.median(nearby, axis=1))
     return np.asarray(absurd | far, dtype=np.bool_)
-
-
-def check_jumps(id: str, name: str, wavelength_nm: FloatArray, reflectance: FloatArray) -> None:
-    """Raise DataError where five channels and the next five differ by more than a third: blocks of another scale."""
-    finite = np.flatnonzero(np.isfinite(reflectance))
-    if finite.size < 2 * _SIDE:
-        return
-    middle = np.median(np.lib.stride_tricks.sliding_window_view(np.log(reflectance[finite]), _SIDE), axis=1)
-    jump = np.abs(middle[_SIDE:] - middle[:-_SIDE])
-    worst = int(jump.argmax())
-    if jump[worst] > _JUMP:
-        place = wavelength_nm[finite[worst + _SIDE]]
-        share = 100 * (np.exp(jump[worst]) - 1)
-        raise DataError(
-            f"{id}: {name} jumps by {share:.0f} % near {place:g} nm, which no rock does; fetch its data file again"
-        )

@@ -12,11 +12,9 @@ SHADOW_BAND_NM = 465.0
 """Shadows are told in this channel (Ding et al. 2024). [nm]"""
 _PLATEAU_PIXELS = 20
 """So many pixels of exactly the largest value of a frame are a clipped frame; assumed."""
-_LEAST_SHARE = 0.5
-"""A channel with fewer valid pixels than this share of the lit ones is not used; assumed."""
-_MOST_CLIPPED = 0.05
-"""A channel in which more of the lit pixels than this share are clipped is not used; the pixels clipped in the others
-are left out of all, so that every channel averages the same ground. Assumed."""
+_MOST_LOST = 0.05
+"""A channel in which more of the lit pixels than this share are clipped, or have no value, is not used; the pixels
+clipped in the others are left out of all, so that every channel averages the same ground. Assumed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +69,7 @@ def average_footprint(cube: Cube, shadow_radiance: float) -> Footprint:
         negative = values <= 0
         valid = np.isfinite(values) & ~negative
     count = valid.sum(axis=1)
-    enough = usable & (count >= max(_LEAST_SHARE * lit.sum(), 1))
+    enough = usable & (count >= max((1 - _MOST_LOST) * lit.sum(), 1))
     values[~valid] = 0
     size = np.where(enough, count, 1)
     mean = values.sum(axis=1) / size
@@ -98,7 +96,7 @@ def _clipped(cube: Cube, lit: BoolArray, limits: FloatArray) -> tuple[BoolArray,
     for band in np.flatnonzero(np.isfinite(limits)):
         clipped = lit & (cube[band] >= limits[band])
         counts[band] = clipped.sum()
-        usable[band] = counts[band] <= _MOST_CLIPPED * lit.sum()
+        usable[band] = counts[band] <= _MOST_LOST * lit.sum()
         if usable[band]:
             anywhere |= clipped
     return anywhere, usable, counts

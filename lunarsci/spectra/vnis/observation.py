@@ -12,8 +12,6 @@ or two and changes its distance by up to 3 %, where names, labels and tables agr
 
 import math
 import re
-import stat
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -23,25 +21,28 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.errors import DataError, LunarSciWarning
+from lunarsci.errors import DataError
 from lunarsci.io import inputs
 from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.spectra.rows import NamedTable, Row, split_lines
 from lunarsci.spectra.vnis.channels import CUBE_SHAPE, SWIR_NM, VNIR_NM, equal_frames, repeated_rows
-from lunarsci.spectra.vnis.label import Label, ProductName, check_supported, product_name, read_label
+from lunarsci.spectra.vnis.label import (
+    LONGEST,
+    SUN_DEG,
+    WRONG_DEG,
+    Label,
+    ProductName,
+    check_supported,
+    product_name,
+    read_label,
+)
 from lunarsci.sun import sun_incidence_deg
 
 LANDING_SITE = (177.5991, -45.4446)
 """Longitude and latitude of Chang'E-4, Liu et al. (2019), Nat. Commun. 10, 4229, 10.1038/s41467-019-12278-3, for labels
 without a place of the rover; it has stayed within 0.1 deg. [deg]"""
-SUN_DEG, WRONG_SUN_DEG = 0.3, 3.0
-"""An incidence further than the first from the Sun's is in doubt, than the second is wrong: the two labels of
-observation 136 agree with the Sun to 0.01 deg, which moves by 0.5 deg in an hour. 0.3 deg change the reflectance by 1 %
-at 64 deg and by 2 % at 77 deg. Assumed. [deg]"""
 _SLACK = timedelta(minutes=10)
-_WRONG_SESSION = timedelta(days=1)
-"""A product's name has the times of the session that it was measured in; the one public observation whose times are
-known lies within it; the first row of a scan may precede its label. Slack and what is wrong are assumed."""
+"""Beyond the times of a label, or of the session in its name: the first row may precede its label; assumed."""
 
 
 def doubts_of(label: Label) -> list[str]:
@@ -60,7 +61,7 @@ def _of_sun(label: Label) -> str:
     if abs(stated - true) <= SUN_DEG:
         return ""
     says = f"{label.file}: states the Sun {stated:.2f} deg from the vertical; then and there it stood {true:.2f} deg"
-    if abs(stated - true) > WRONG_SUN_DEG:
+    if abs(stated - true) > WRONG_DEG:
         raise DataError(f"{says}: angle, time or place is wrong, fetch the label again")
     return f"{says} from it"
 
@@ -77,7 +78,7 @@ def _of_session(label: Label) -> str:
         return ""
     says = f"{label.file}: was measured at {label.start:%Y-%m-%dT%H:%M}, outside the {first:%Y-%m-%dT%H:%M} to "
     says += f"{last:%Y-%m-%dT%H:%M} of its name"
-    if outside > _WRONG_SESSION:
+    if outside > LONGEST:
         raise DataError(f"{says}; it belongs to another observation, or a time is wrong, fetch it again")
     return says
 
@@ -89,8 +90,6 @@ _AXES = tuple(zip(("band", "line", "sample"), CUBE_SHAPE, strict=True))
 _TYPES = {"ieee754lsbsingle": "<f4", "ieee754msbsingle": ">f4"}
 _PLAUSIBLE = (1e-8, 1e3)
 """Radiance of sunlit ground is some 1e-4 to 1 W m-2 sr-1 nm-1; numbers far from it are not radiance. Assumed. [same]"""
-_WORST_SHARE = 0.5
-"""Share of good values below which a channel is bad altogether; assumed."""
 
 
 def read_cube(source: InputFile, label: Label) -> Cube:
@@ -98,10 +97,8 @@ def read_cube(source: InputFile, label: Label) -> Cube:
 
     Raises DataError when size, axes, number type or byte order are not those of a VNIR cube.
     """
-    described = next((file for file in label.files if file.axes), None)
-    if described is None:
-        raise DataError(f"{label.file}: describes no image array; fetch the label of the VD product again")
-    axes = " x ".join(f"{elements} {name}" for name, elements in described.axes)
+    described = next((file for file in label.files if file.axes), label.files[0])
+    axes = " x ".join(f"{elements} {name}" for name, elements in described.axes) or "no array"
     expected = f"a cube has 100 band x 256 line x 256 sample, IEEE754LSBSingle, {CUBE_BYTES} bytes"
     alike = described.axes == _AXES and described.size in (None, CUBE_BYTES)
     if not alike or (described.data_type or "").lower() not in _TYPES:
@@ -123,12 +120,12 @@ def read_cube(source: InputFile, label: Label) -> Cube:
 
 
 def _implausible(cube: npt.NDArray[np.floating]) -> bool:
-    """Whether most of a sample of the numbers is neither zero nor of a radiance's size, or absurd."""
-    sample = cube[::9, ::8, ::8]
+    """Whether the quartiles of a sample of the numbers, zeros apart, are of no radiance's size."""
     with np.errstate(all="ignore"):
-        size = np.abs(sample.astype(np.float64))
-        good = (size == 0) | ((size > _PLAUSIBLE[0]) & (size < _PLAUSIBLE[1])) | np.isnan(size)
-    return bool(good.mean() < _WORST_SHARE)
+        size = np.abs(cube[::9, ::8, ::8].astype(np.float64))
+        size = size[(size != 0) & ~np.isnan(size)]
+    low, high = np.quantile(size, (0.25, 0.75)) if size.size else _PLAUSIBLE
+    return not _PLAUSIBLE[0] <= low <= high <= _PLAUSIBLE[1]
 
 
 _SWIR_COLUMNS = ("time", "band", "integration time", "solar elevation", "radiance", "quality")
@@ -153,9 +150,6 @@ def read_swir_table(source: InputFile, label: Label) -> SwirTable:
     Raises DataError, with the line, for other counts, repeated or missing channels, or times outside the label's.
     """
     table = _table(source, label, SWIR_NM.size, _SWIR_COLUMNS)
-    stated = [file.records for file in label.files if file.fields]
-    if stated and stated[0] not in (None, SWIR_NM.size):
-        raise DataError(f"{label.file}: states {stated[0]} rows, the table has {SWIR_NM.size}; fetch it again")
     radiance = table.numbers("radiance")
     radiance[~np.isfinite(radiance)] = np.nan
     if (twice := repeated_rows(radiance)) is not None:
@@ -204,17 +198,6 @@ def _flags(table: NamedTable) -> BoolArray:
     wrong = np.array([_CODE.fullmatch(code) is None for code in codes])
     table.refuse(wrong, "quality", "quality codes are hexadecimal; correct it or fetch it again")
     return np.array([int(code, 16) != 0 for code in codes])
-
-
-_APART = timedelta(hours=24)
-"""The two scans follow each other within minutes; assumed wide."""
-_SUN_DEG_PER_HOUR = 360.0 / (29.530589 * 24)
-"""By the mean synodic month, 29.530589 days: Chapront et al. (2002), 10.1051/0004-6361:20020420. [deg/h]"""
-LABEL_BYTES = 2_000_000
-"""A label is smaller; assumed."""
-_TABLE_BYTES = 1_000_000
-_AWAY_DEG = 0.001
-"""30 m on the Moon; assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,33 +263,31 @@ def find_parts(path: str) -> Parts:
         raise DataError(f"{path}: is no VNIS product name (such as CE4_GRAS_VNIS-SD_SCI_N_..._0136_B.2BL)")
     check_supported(name, path)
     folder = Path(path).parent
-    result = [(other, str(folder / other)) for other in _names(folder)]
-    same = [(other, p) for p, other in ((p, product_name(o)) for o, p in result) if other and _same(other, name)]
-    cube_label, cube = (_one(same, "VD", is_label, name, folder) for is_label in (True, False))
-    table_label, table = (_one(same, "SD", is_label, name, folder) for is_label in (True, False))
-    wanted = ("AUX", "VD", name.version, False)
-    flags = [p for other, p in same if (other.role, other.kind, other.version, other.is_label) == wanted]
-    if len(flags) > 1:
-        both = " and ".join(Path(p).name for p in flags[:2])
-        raise DataError(f"{name.observation}: {both} are both its auxiliary table; keep one of them in the folder")
-    return Parts(name.observation, cube_label, cube, table_label, table, flags[0] if flags else None)
+    every = [(other, str(p)) for p in sorted(folder.glob("*")) if (other := product_name(p.name)) is not None]
+    same = [(other, path) for other, path in every if _same(other, name)]
+    cube_label, cube, table_label, table = (
+        _one(same, name, folder, kind, is_label) for kind in ("VD", "SD") for is_label in (True, False)
+    )
+    has_flags = any((other.role, other.version) == ("AUX", name.version) for other, _ in same)
+    flags = _one(same, name, folder, "VD", False, "AUX") if has_flags else None
+    return Parts(name.observation, cube_label, cube, table_label, table, flags)
 
 
 def _same(other: ProductName, name: ProductName) -> bool:
     return (other.observation, other.instrument, other.level) == (name.observation, name.instrument, name.level)
 
 
-def _names(folder: Path) -> list[str]:
-    try:
-        return sorted(p.name for p in folder.iterdir())
-    except OSError as error:
-        raise DataError(f"{folder}: folder cannot be listed ({error.strerror}); check the path") from error
-
-
-def _one(same: Sequence[tuple[ProductName, str]], kind: str, is_label: bool, name: ProductName, folder: Path) -> str:
-    fits = [(o.version, p) for o, p in same if (o.role, o.kind, o.is_label) == ("SCI", kind, is_label)]
+def _one(
+    same: Sequence[tuple[ProductName, str]],
+    name: ProductName,
+    folder: Path,
+    kind: str,
+    is_label: bool,
+    role: str = "SCI",
+) -> str:
+    fits = [(o.version, p) for o, p in same if (o.role, o.kind, o.is_label) == (role, kind, is_label)]
     right = [p for version, p in fits if version == name.version]
-    what = f"{'label' if is_label else 'data file'} of its {kind} product"
+    what = f"{'label' if is_label else 'data file' if role == 'SCI' else 'auxiliary table'} of its {kind} product"
     if not right:
         other = f"; there is only {Path(fits[0][1]).name}" if fits else ""
         raise DataError(f"{name.observation}: no {what}, version {name.version}, in {folder}{other}; put it there")
@@ -322,18 +303,18 @@ def read_observation(path: str) -> Observation:
     Raises DataError, one line: the file, what is wrong with it, what to do.
     """
     parts = find_parts(path)
-    cube_label_file, table_label_file = _read(parts.cube_label, LABEL_BYTES), _read(parts.table_label, LABEL_BYTES)
+    cube_label_file, table_label_file = _read(parts.cube_label), _read(parts.table_label)
     cube_label, table_label = read_label(cube_label_file), read_label(table_label_file)
     _check_pair(cube_label, table_label)
     _check_files(parts, cube_label, table_label)
     doubts = [*doubts_of(cube_label), *doubts_of(table_label)]
-    table_file, cube_file = _read(parts.table, _TABLE_BYTES), _read(parts.cube, CUBE_BYTES)
+    table_file, cube_file = _read(parts.table), _read(parts.cube)
     table = read_swir_table(table_file, table_label)
     cube = read_cube(cube_file, cube_label)
     read = [cube_label_file, cube_file, table_label_file, table_file]
     flags = None
     if parts.flags is not None:
-        read.append(_read(parts.flags, _TABLE_BYTES))
+        read.append(_read(parts.flags))
         flags = read_vnir_flags(read[-1], cube_label)
     return Observation(
         id=parts.id,
@@ -348,58 +329,32 @@ def read_observation(path: str) -> Observation:
     )
 
 
-def _read(path: str, most_bytes: int) -> InputFile:
-    """A regular file of a plausible size: a link to a device or a download gone wild is not read at all."""
-    try:
-        status = Path(path).stat()
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror}); check the path and its access rights") from error
-    if not stat.S_ISREG(status.st_mode):
-        raise DataError(f"{path}: is no regular file; put the product itself there")
-    if status.st_size > most_bytes:
+def _read(path: str) -> InputFile:
+    """A regular file that is no larger than a cube: a link to a device or a download gone wild is not read at all."""
+    if Path(path).exists() and not (Path(path).is_file() and Path(path).stat().st_size <= CUBE_BYTES):
         raise DataError(
-            f"{path}: {status.st_size} bytes, at most {most_bytes} are expected; another file, fetch it again"
+            f"{path}: is no regular file of {CUBE_BYTES} bytes at most, as all products are; fetch it again"
         )
     return read_input(path)
 
 
 def _check_pair(cube: Label, table: Label) -> None:
-    if abs(cube.start - table.start) > _APART:
+    if abs(cube.start - table.start) > LONGEST:
         days = abs(cube.start - table.start).total_seconds() / 86400
         raise DataError(
             f"{table.file}: was measured {days:.1f} days from {cube.file}; they are no pair, fetch them again"
         )
-    _check_same_sun(cube, table)
-    apart = max(abs(cube.latitude_deg - table.latitude_deg), abs(cube.longitude_deg - table.longitude_deg))
-    if apart > _AWAY_DEG:
-        warnings.warn(
-            f"{table.file}: the rover's place differs by {apart:.4f} deg from that of the image", LunarSciWarning, 3
-        )
-
-
-def _check_same_sun(cube: Label, table: Label) -> None:
-    """Both look the same way; the Sun moves on by half a degree an hour."""
-    hours = abs(cube.start - table.start).total_seconds() / 3600
-    for name, limit in (("incidence", SUN_DEG + _SUN_DEG_PER_HOUR * hours), ("emission", SUN_DEG)):
-        one, other = (getattr(label.geometry, f"{name}_deg") for label in (cube, table))
-        if abs(one - other) > limit:
-            raise DataError(
-                f"{table.file}: states {name} {other:g} deg, the image's label {one:g}, {60 * hours:.0f} min apart; "
-                "one of them is wrong, fetch both labels again"
-            )
 
 
 def _check_files(parts: Parts, cube: Label, table: Label) -> None:
     """Each label describes the file beside it, by product and by the size it states."""
     for label, path in ((cube, parts.cube), (table, parts.table)):
-        described = [file for file in label.files if product_name(file.name) is not None]
-        names = [product_name(file.name) for file in described]
-        wanted = product_name(path)
-        fits = [file for file, name in zip(described, names, strict=True) if name is not None and name == wanted]
-        if not fits:
-            listed = ", ".join(file.name for file in label.files) or "no file"
-            raise DataError(f"{label.file}: describes {listed[:120]}, not {Path(path).name}; fetch the label again")
+        described = {product_name(file.name): file for file in label.files}
+        file = described.get(product_name(path))
         size = Path(path).stat().st_size if Path(path).is_file() else None
-        if size is not None and fits[0].size is not None and size != fits[0].size:
-            why = "truncated or another file" if size < fits[0].size else "another file"
-            raise DataError(f"{path}: {size} bytes, its label states {fits[0].size}: {why}; fetch both again")
+        if file is None or (size is not None and file.size not in (None, size)):
+            listed = ", ".join(f"{one.name} of {one.size} bytes" for one in label.files) or "no file"
+            raise DataError(
+                f"{label.file}: describes {listed[:150]}, not {Path(path).name} of {size} bytes: truncated, or "
+                "another file; fetch both again"
+            )

@@ -7,12 +7,14 @@ calibration and the irradiance were established before the flight or by others, 
 several: repeating the measurement does not make these errors smaller, and they do not scatter.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray, robust_scatter
+from lunarsci.arrays import SIGNIFICANCE, FloatArray, robust_scatter
 from lunarsci.errors import DataError
 from lunarsci.io.tables import table_rows
 from lunarsci.spectra.photometry import Geometry, model_spread
@@ -83,33 +85,32 @@ def find_step(site: StepSite, wavelength_nm: FloatArray, reflectance: FloatArray
     return Step(site.at_nm, float(np.exp(-solution[3])), float(error))
 
 
-GAIN_LIMIT = 0.17
-"""A gain further from 1 than this is worth a warning: twice the calibration errors of 5 % and 7 % together, see
-`CALIBRATION`."""
-STEP_LIMIT = 0.05
-"""So is a larger step between the sub-bands of SWIR; assumed."""
+CALIBRATION = {"vnir": 0.05, "swir": 0.07}
+"""Relative error of the level of each detector, as quoted for the instrument; assumed, the source could not be read.
+The error of the Sun's level, 0.6 %, is small beside it. [-]"""
+GAIN_LIMIT = 2 * math.hypot(*CALIBRATION.values())
+"""A gain further from 1 than this is worth a warning: twice the errors of both levels together, 0.17."""
+STEP_LIMIT = NormalDist().inv_cdf(1 - SIGNIFICANCE / 2) * SWIR_STEP.typical
+"""So is a step between the sub-bands of SWIR that `SIGNIFICANCE` of them exceed, 0.039."""
 OVERLAP_ERROR = 0.01
 """What the overlap does not tell about the rest of VNIR, measured: on 88 Chang'E-4 spectra scaled to SWIR at 900 nm the
 jump that remains at 897.5 nm is 1.45 % in the median. [-]"""
 
 _FEWEST_GAINS = 5
-_UNLIKE = 0.05
-"""Share by which a gain may be off the median of its batch unsaid; assumed."""
-_TIMES = 5.0
-"""Robust standard deviations by which it may be off; assumed."""
 
 
 def usual_gains(gains: Sequence[float]) -> list[float | None]:
     """Of each observation the median gain of all, where its own is unlike theirs; None where it is not. [-]
 
-    Unlike is further off than 5 % and than five standard deviations (of the median absolute deviation); assumed. Both
-    detectors see the same ground in the same minutes, so that their ratio is the instrument's. Fewer than five
-    observations do not tell.
+    Both detectors see the same ground in the same minutes, so that their ratio is the instrument's, but for the step
+    and the overlap. Unlike is further off than one in a hundred batches has any by these errors, or by the scatter of
+    the gains where it is larger. Fewer than five observations do not tell.
     """
     if len(gains) < _FEWEST_GAINS:
         return [None] * len(gains)
     middle = float(np.median(gains))
-    limit = max(_UNLIKE * middle, _TIMES * robust_scatter(np.array(gains)))
+    scatter = max(math.hypot(OVERLAP_ERROR, SWIR_STEP.typical) * middle, robust_scatter(np.array(gains)))
+    limit = NormalDist().inv_cdf(1 - SIGNIFICANCE / 2 / len(gains)) * scatter
     return [middle if abs(gain - middle) > limit else None for gain in gains]
 
 
@@ -222,9 +223,6 @@ def _vnir_steps(vnir: FloatArray, sigma: FloatArray) -> tuple[Step, ...]:
     return tuple(result)
 
 
-CALIBRATION = {"vnir": 0.05, "swir": 0.07}
-"""Relative error of the level of each detector, as quoted for the instrument; assumed, the source could not be read.
-The error of the Sun's level, 0.6 %, is small beside it. [-]"""
 _SMOOTH_CHANNELS = 21
 """Over so many channels a difference of two solar spectra is broad, not detail; assumed."""
 _NEGLIGIBLE = 1e-5

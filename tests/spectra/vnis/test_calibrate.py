@@ -437,7 +437,7 @@ def test_steps_of_vnir_are_noted_and_removed_on_demand() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"shadow_limit": -0.1}, "the shadow limit is -0.1; give a reflectance from 0 to below 1"),
+        ({"shadow_limit": -0.1}, "the shadow limit is -0.1; give 0 or more, below 1; a reflectance"),
         ({"shadow_limit": 1.0}, "the shadow limit is 1"),
         ({"shadow_limit": math.nan}, "the shadow limit is nan"),
     ],

@@ -73,7 +73,7 @@ def test_shapes_broadcast() -> None:
 
 @pytest.mark.parametrize("incidence", [-0.1, 90.0, 120.0, math.nan])
 def test_a_sun_that_does_not_shine_is_refused(incidence: float) -> None:
-    with pytest.raises(ParameterError, match=r"incidence is .* deg; it must be from 0 to below 90"):
+    with pytest.raises(ParameterError, match=r"incidence is .*; give 0 or more, below 90"):
         reflectance_factor(np.array([0.1]), np.array([1.0]), incidence, 1.0)
 
 
@@ -81,7 +81,7 @@ def test_a_sun_that_does_not_shine_is_refused(incidence: float) -> None:
     ("irradiance", "distance"), [(0.0, 1.0), (-1.0, 1.0), (math.nan, 1.0), (1.0, 0.0), (1.0, -1.0), (1.0, math.nan)]
 )
 def test_no_irradiance_or_distance_is_refused(irradiance: float, distance: float) -> None:
-    with pytest.raises(ParameterError, match="must be above 0"):
+    with pytest.raises(ParameterError, match="give a number above 0"):
         reflectance_factor(np.array([0.1]), np.array([irradiance]), 30.0, distance)
 
 
@@ -148,10 +148,8 @@ SPOILED: dict[str, tuple[Callable[[Rows], Rows], str]] = {
         lambda rows: [row[:2] if n == 8 else row for n, row in enumerate(rows)],
         "line 9 has 2 fields",
     ),
-    "a factor of 0": (put(4, 2, "0"), r"line 4, column 'factor': '0'; factors are numbers from 0\.2 to 5"),
-    "a huge factor": (put(4, 2, "6.5"), r"line 4, column 'factor': '6\.5'"),
+    "a factor of 0": (put(4, 2, "0"), r"line 4, column 'factor': '0'; factors are numbers above 0"),
     "not a number": (put(4, 2, "nan"), "line 4, column 'factor': 'nan'; factors are numbers"),
-    "per cent": (put(4, 2, "94.5"), r"line 4, column 'factor': '94\.5'"),
     "twice": (put(5, 1, "460"), "vnir has 100 channels, 100 are given and 465 nm is missing"),
     "a channel left out": (lambda rows: rows[:50] + rows[51:], "vnir has 100 channels, 99 are given and 695 nm is m"),
     "swir left out": (lambda rows: rows[:101], "swir has 300 channels, 0 are given and 900 nm is missing"),

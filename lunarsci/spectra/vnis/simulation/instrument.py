@@ -1,10 +1,9 @@
 """Synthetic observations: what VNIS would have measured of a made-up scene. Never a measurement, and named so.
 
-Two steps: `scene_radiance` is the scene without noise, `draw` adds one realisation of the instrument; `simulate` is
-both. Radiance L = REFF · E0 · cos i / (π d²), with E0 averaged over the response of each channel and with incidence,
-time and distance of each product (Hapke 2012, Theory of Reflectance and Emittance Spectroscopy, ch. 10).
-
-A scene in pixels: where the rock lies, where it is dark, how bright each pixel is. All of it made up from a seed.
+A scene in pixels has rock, shadow and brightness, made up from a seed. `scene_radiance` is the scene without noise,
+`draw` adds one realisation of the instrument; `simulate` is both. Radiance L = REFF · E0 · cos i / (π d²), with E0
+averaged over the response of each channel and with incidence, time and distance of each product (Hapke 2012, Theory of
+Reflectance and Emittance Spectroscopy, ch. 10).
 """
 
 import math
@@ -16,6 +15,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
+from lunarsci.ranges import NOT_NEGATIVE, check_range, check_ranges
 from lunarsci.spectra.photometry import Geometry, correction_factor, phase_function
 from lunarsci.spectra.solar import in_band_irradiance, solar_spectrum, sun_moon_distance_au
 from lunarsci.spectra.vnis.channels import (
@@ -32,6 +32,7 @@ from lunarsci.spectra.vnis.channels import (
 )
 from lunarsci.spectra.vnis.simulation.scene import Material, Scene, SceneComposition, SceneRock, surface_reflectance
 
+FloatCube = npt.NDArray[np.float32]
 SHAPE = CUBE_SHAPE[1:]
 BLOB_SCALE_PX = 24.0
 """Size of the patches of brighter and darker ground; assumed."""
@@ -57,8 +58,7 @@ def generator(seed: int, stream: str) -> np.random.Generator:
 
     Raises ParameterError for a negative seed.
     """
-    if seed < 0:
-        raise ParameterError(f"the seed is {seed}; give a whole number from 0")
+    check_range("the seed", seed, NOT_NEGATIVE)
     return np.random.default_rng([seed, *stream.encode()])
 
 
@@ -128,9 +128,6 @@ def _smooth_field(rng: np.random.Generator, scale_px: float) -> FloatArray:
     return standard
 
 
-FloatCube = npt.NDArray[np.float32]
-
-
 @dataclass(frozen=True, slots=True)
 class Instrument:
     """What the instrument does to the radiance.
@@ -158,12 +155,12 @@ class Instrument:
     sub_band_step: float = 1.0
 
     def __post_init__(self) -> None:
-        limits = {"pixel": (0.0, 0.1), "vnir_gain": (0.1, 10.0), "swir_gain": (0.1, 10.0), "sub_band_step": (0.1, 10.0)}
-        for name in ("noise", "random", "pattern", *limits):
-            low, high = limits.get(name, (0.0, 5.0))
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise ParameterError(f"the instrument's {name} is {value:g}; give one from {low:g} to {high:g}")
+        names = {
+            "[0, 5]": "noise random pattern",
+            "[0, 0.1]": "pixel",
+            "[0.1, 10]": "vnir_gain swir_gain sub_band_step",
+        }
+        check_ranges(self, names, "the instrument's")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

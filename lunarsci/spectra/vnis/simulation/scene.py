@@ -7,50 +7,47 @@ They are chosen so that spectra look about as bright, red and subdued as those o
 import math
 from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime, timedelta
+from typing import NamedTuple
 
 import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
+from lunarsci.ranges import SHARE, check_range, check_ranges, refuse
 from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA
 from lunarsci.spectra.photometry import Geometry, phase_angle_deg
-from lunarsci.spectra.vnis.channels import CUBE_SHAPE, FOOTPRINT, SWIR_NM, VNIR_NM
+from lunarsci.spectra.vnis.channels import FOOTPRINT, IMAGE_NM, SWIR_NM, VNIR_NM
+from lunarsci.spectra.vnis.label import SUN_DEG
 from lunarsci.sun import sun_in_moon_frame, sun_incidence_deg, upward
 
-FULL_STRENGTH = {
-    "olivine": {"OL M1-1": -0.25, "OL M2": -0.45, "OL M1-2": -0.35},
-    "orthopyroxene": {"OPX 1": -0.60, "OPX 2": -0.45},
-    "clinopyroxene": {"CPX 1": -0.50, "CPX 2": -0.40},
-    "plagioclase": {"PLG": -0.06},
-}
-"""Strength in ln reflectance of each band where the mineral makes up everything; assumed."""
-EVERYWHERE = {"uv": -0.30, "visible 1": -0.05, "visible 2": -0.03}
-"""Strength of the bands that belong to no mineral; the same in every material, assumed. [ln reflectance]"""
-SHAPES_NM = {
-    "uv": (330.0, 250.0),
-    "visible 1": (480.0, 150.0),
-    "visible 2": (640.0, 180.0),
-    "OL M1-1": (860.0, 215.0),
-    "OL M2": (1043.0, 171.0),
-    "OL M1-2": (1215.0, 429.0),
-    "OPX 1": (915.0, 190.0),
-    "CPX 1": (1015.0, 215.0),
-    "OPX 2": (1860.0, 520.0),
-    "CPX 2": (2300.0, 560.0),
-    "PLG": (1250.0, 350.0),
-}
-"""Centre and full width at half maximum of each band: about those of olivine Fo 85, orthopyroxene Fs 20 and augite in
-laboratory spectra, widths assumed. Not from the table of priors, so that a simulation does not know what a fit expects.
-[nm]"""
-ALBEDO_AT_NM = 750.0
-"""Where the albedo of a material is stated, as that of the Moon mostly is; assumed."""
 
+class SceneBand(NamedTuple):
+    """A band: the mineral it belongs to, '' for all materials; strength where that is all there is [ln R]; [nm, nm]."""
+
+    mineral: str
+    strength: float
+    center_nm: float
+    fwhm_nm: float
+
+
+BANDS = {
+    "uv": SceneBand("", -0.30, 330.0, 250.0),
+    "visible 1": SceneBand("", -0.05, 480.0, 150.0),
+    "visible 2": SceneBand("", -0.03, 640.0, 180.0),
+    "OL M1-1": SceneBand("olivine", -0.25, 860.0, 215.0),
+    "OL M2": SceneBand("olivine", -0.45, 1043.0, 171.0),
+    "OL M1-2": SceneBand("olivine", -0.35, 1215.0, 429.0),
+    "OPX 1": SceneBand("orthopyroxene", -0.60, 915.0, 190.0),
+    "OPX 2": SceneBand("orthopyroxene", -0.45, 1860.0, 520.0),
+    "CPX 1": SceneBand("clinopyroxene", -0.50, 1015.0, 215.0),
+    "CPX 2": SceneBand("clinopyroxene", -0.40, 2300.0, 560.0),
+    "PLG": SceneBand("plagioclase", -0.06, 1250.0, 350.0),
+}
+"""Centres are about those of olivine Fo 85, orthopyroxene Fs 20 and augite in laboratory spectra, widths and strengths
+assumed. Not from the table of priors, so that a simulation does not know what a fit expects."""
 SITE = (177.585, -45.44)
 """Longitude and latitude of the rover: by the labels of Chang'E-4 (CNSA 2020, Lunar and Planetary Data Release System).
 [deg]"""
-_NEAR_DEG = 0.1
-"""So much the Sun may stand off the incidence of a scene at that site; assumed. [deg]"""
-
 SWIR_STEP = timedelta(seconds=1.068)
 """See `VNIR_STEP`."""
 SWIR_BREAK = timedelta(seconds=21.944)
@@ -65,11 +62,6 @@ SWIR_MORE_INCIDENCE_DEG = 0.0334
 other."""
 
 
-def _within(what: str, value: float, low: float, high: float, unit: str = "") -> None:
-    if not low <= value <= high:
-        raise ParameterError(f"{what} is {value:g}{unit}; give one from {low:g} to {high:g}")
-
-
 @dataclass(frozen=True, slots=True)
 class SceneComposition:
     """Fractions of the minerals, each within 0-1, sum 1 (within 1e-6). Raises ParameterError for anything else. [-]"""
@@ -80,12 +72,9 @@ class SceneComposition:
     plagioclase: float = 0.0
 
     def __post_init__(self) -> None:
-        for mineral, fraction in self.fractions.items():
-            if not 0 <= fraction <= 1:
-                raise ParameterError(f"the fraction of {mineral} is {fraction:g}; give one from 0 to 1")
+        check_ranges(self.fractions, {SHARE: " ".join(self.fractions)}, "the fraction of")
         total = sum(self.fractions.values())
-        if not math.isclose(total, 1, abs_tol=1e-6):
-            raise ParameterError(f"the fractions of the minerals add up to {total:g}; make them add up to 1")
+        check_range("the sum of all fractions", total, "[0.999999, 1.000001]", "make them add up to 1")
 
     @property
     def fractions(self) -> dict[str, float]:
@@ -113,13 +102,10 @@ class Material:
     contrast: float = 1.0
 
     def __post_init__(self) -> None:
-        _within("the albedo", self.albedo, 1e-6, 1)
-        _within("the red slope", self.red_slope, -0.5, 3, " per micrometre")
-        _within("the contrast", self.contrast, 0, 3)
+        check_ranges(self, {"(0, 1]": "albedo", "[-0.5, 3]": "red_slope", "[0, 3]": "contrast"}, "the material's")
 
 
 SOIL = Material(SceneComposition(0.05, 0.20, 0.20, 0.55), albedo=0.10, red_slope=0.6, contrast=0.6)
-"""A soil as there might be at the Chang'E-4 site; assumed."""
 ROCK = Material(SceneComposition(0.10, 0.35, 0.25, 0.30), albedo=0.09, red_slope=0.55)
 """A soil and a rock as there might be at the Chang'E-4 site; assumed."""
 
@@ -138,10 +124,7 @@ class SceneRock:
     radius_px: float = math.ceil(FOOTPRINT[2])
 
     def __post_init__(self) -> None:
-        width = CUBE_SHAPE[2]
-        _within("the line of the rock's centre", self.center_line, -width, 2 * width)
-        _within("the sample of the rock's centre", self.center_sample, -width, 2 * width)
-        _within("the radius of the rock", self.radius_px, 0.5, 4 * width, " px")
+        check_ranges(self, {"[-256, 512]": "center_line center_sample", "[0.5, 1024]": "radius_px"}, "the rock's")
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,20 +170,18 @@ class Scene:
     longitude_deg: float | None = None
 
     def __post_init__(self) -> None:
-        _within("the texture", self.texture, 0, 0.5)
-        _within("the scale of the texture", self.texture_scale_px, 0.5, 64, " px")
-        _within("the share of shadow", self.shadow_fraction, 0, math.nextafter(1, 0))
-        _within("the level of shadow", self.shadow_level, 0, math.nextafter(1, 0))
-        _within("the sequence number", self.sequence, 1, 9999)
-        if (self.latitude_deg is None) != (self.longitude_deg is None):
-            raise ParameterError("a place has a latitude and a longitude; give both or neither")
-        if self.latitude_deg is not None and self.longitude_deg is not None:
-            _within("the latitude", self.latitude_deg, -90, 90, " deg")
-            _within("the longitude", self.longitude_deg, -180, 360, " deg")
-        if self.shadow_shape not in ("half-plane", "blobs"):
-            raise ParameterError(f"the shadow shape '{self.shadow_shape}' is unknown; choose half-plane or blobs")
-        if self.time.tzinfo is None:
-            raise ParameterError(f"the time {self.time.isoformat()} has no time zone; give it in UTC, ending in Z")
+        check_ranges(self, {
+            "[0, 0.5]": "texture", "[0.5, 64]": "texture_scale_px", "[0, 1)": "shadow_fraction shadow_level",
+            "[1, 9999]": "sequence", "[-90, 90]": "latitude_deg", "[-180, 360]": "longitude_deg",
+        }, "the scene's")  # fmt: skip
+        reasons = {
+            "a place has a latitude and a longitude; give both or neither":
+                (self.latitude_deg is None) != (self.longitude_deg is None),
+            f"the shadow shape '{self.shadow_shape}' is unknown; choose half-plane or blobs":
+                self.shadow_shape not in ("half-plane", "blobs"),
+            f"the time {self.time.isoformat()} has no time zone; give it in UTC, ending in Z": self.time.tzinfo is None,
+        }  # fmt: skip
+        refuse(reason for reason, applies in reasons.items() if applies)
         self.swir_geometry()
 
     @property
@@ -210,7 +191,7 @@ class Scene:
             return self.longitude_deg, self.latitude_deg
         times = self.vnir_times()
         middle, incidence = times[0] + (times[-1] - times[0]) / 2, self.geometry.incidence_deg
-        if abs(sun_incidence_deg(middle, *SITE) - incidence) < _NEAR_DEG:
+        if abs(sun_incidence_deg(middle, *SITE) - incidence) < 0.5 * SUN_DEG:
             return SITE
         sun, site = sun_in_moon_frame(middle), upward(*SITE)
         aside = site - (site @ sun) * sun
@@ -244,7 +225,7 @@ class Scene:
 def surface_reflectance(wavelength_nm: FloatArray, material: Material) -> FloatArray:
     """Reflectance factor at incidence 30, emission 0, phase 30 deg, shape (n,). [-]
 
-    ln R = ln C + contrast · Σ fraction · full strength · Gaussian + Σ everywhere · Gaussian, C a straight line through
+    ln R = ln C + contrast · Σ fraction · strength · Gaussian + Σ strength · Gaussian, C a straight line through
     the albedo at 750 nm; centres, widths and full strengths assumed, proportional to the fraction (a real
     mixture is not). Form after Sunshine, Pieters & Pratt (1990), J. Geophys. Res. 95, 6955,
     10.1029/JB095iB05p06955.
@@ -252,16 +233,14 @@ def surface_reflectance(wavelength_nm: FloatArray, material: Material) -> FloatA
     Raises ParameterError where the continuum is not above 0.
     """
     wavelength = np.asarray(wavelength_nm, dtype=float)
-    continuum = material.albedo * (1 + material.red_slope * (wavelength - ALBEDO_AT_NM) / 1000)
+    continuum = material.albedo * (1 + material.red_slope * (wavelength - IMAGE_NM) / 1000)
     if not (continuum > 0).all():
         raise ParameterError(f"a continuum of slope {material.red_slope:g} per micrometre falls to 0 at these channels")
-    strength = dict(EVERYWHERE)
-    for mineral, fraction in material.composition.fractions.items():
-        strength |= {band: material.contrast * fraction * full for band, full in FULL_STRENGTH[mineral].items()}
     ln = np.log(continuum)
-    for band, absorbed in strength.items():
-        center_nm, fwhm_nm = SHAPES_NM[band]
-        ln = ln + absorbed * np.exp(-0.5 * ((wavelength - center_nm) * FWHM_OVER_SIGMA / fwhm_nm) ** 2)
+    for band in BANDS.values():
+        share = material.contrast * material.composition.fractions[band.mineral] if band.mineral else 1.0
+        off = (wavelength - band.center_nm) * FWHM_OVER_SIGMA / band.fwhm_nm
+        ln = ln + share * band.strength * np.exp(-0.5 * off**2)
     reflectance: FloatArray = np.exp(ln)
     return reflectance
 

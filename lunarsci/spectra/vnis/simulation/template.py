@@ -1,7 +1,7 @@
-"""Labels of a synthetic observation, in the layout of the public level 2B products and marked synthetic throughout.
+"""Files and page of a synthetic observation: layout of the public level 2B products, marked synthetic throughout.
 
-The layout is that of observation 136 of Chang'E-4 (labels of 2020-07-16): names, order and units of elements are
-interface and kept, its oddities included. The texts are our own.
+Labels are as those of observation 136 of Chang'E-4 (2020-07-16): names, order and units of elements are interface and
+kept, oddities included. The texts are our own.
 """
 
 import math
@@ -18,17 +18,23 @@ from lunarsci.figure import BLUE, GREEN, VERMILION, headline, legend_below, page
 from lunarsci.provenance import to_json
 from lunarsci.spectra.photometry import Geometry
 from lunarsci.spectra.vnis.calibration import draw_footprint
-from lunarsci.spectra.vnis.channels import CUBE_SHAPE, FOOTPRINT, SWIR_NM, VNIR_NM, Detector
+from lunarsci.spectra.vnis.channels import CUBE_SHAPE, FOOTPRINT, IMAGE_NM, SWIR_NM, VNIR_NM, Detector
 from lunarsci.spectra.vnis.observation import LANDING_SITE
 from lunarsci.spectra.vnis.simulation.instrument import Simulation
 from lunarsci.spectra.vnis.simulation.scene import Scene, azimuth_difference_deg
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 SUN_AZIMUTH_DEG = 60.0
-"""Of a label that is made up; assumed."""
 ROVER_XYZ_M = (-287.5, 127.3, -1.7)
-"""From the lander; assumed."""
 ARM_M = (0.96, -0.90, 0.30)
-"""From the ground in the centre of the image to the rover's origin; azimuth, place and arm are assumed."""
+"""Azimuth of the Sun, place of the rover from the lander, and of its origin from the ground in the centre of the image;
+assumed."""
+INTEGRATION_MS = 54.2
+"""As in the product of observation 136 of Chang'E-4, CNSA (2020), Lunar and Planetary Data Release System."""
+ELEVATION_CODE, QUALITY_CODE = "0xc1", "0x00"
+"""Codes as in the public table; what the first one counts is not published."""
 HALF_IMAGE = 0.5 * CUBE_SHAPE[2] * 0.025 / 43.0
 """Tangent of half the field of view of the imager: 256 pixels of 25 um behind a lens of 43 mm, by the product labels
 (CNSA 2020, Lunar and Planetary Data Release System)."""
@@ -321,14 +327,6 @@ def _angles(views: dict[str, FloatArray], geometry: Geometry) -> str:
     return "\n".join([*each, _SUN.format(geometry.incidence_deg, SUN_AZIMUTH_DEG)])
 
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-INTEGRATION_MS = 54.2
-"""As in the product of observation 136 of Chang'E-4, CNSA (2020), Lunar and Planetary Data Release System."""
-ELEVATION_CODE, QUALITY_CODE = "0xc1", "0x00"
-"""Codes as in the public table; what the first one counts is not published."""
-
-
 def product_files(simulation: Simulation, *, crlf: bool = False) -> dict[str, bytes]:
     """File name to content: image cube, short-wave table, their labels, the auxiliary table, and the truth as JSON.
 
@@ -387,7 +385,9 @@ def _truth(simulation: Simulation) -> dict[str, Any]:
     return {
         "synthetic": True,
         "note": f"{MARK}. Strengths of bands, albedos, texture and noise of pixels are assumed.",
-        "scene": {**asdict(scene), "time": time_code(scene.time), **_site(scene)},
+        "scene": asdict(scene)
+        | {"time": time_code(scene.time)}
+        | dict(zip(("longitude_deg", "latitude_deg"), scene.place, strict=True)),
         "instrument": asdict(simulation.instrument),
         "scene_seed": source.seed,
         "noise_seed": simulation.seed,
@@ -403,17 +403,12 @@ def _truth(simulation: Simulation) -> dict[str, Any]:
     }
 
 
-def _site(scene: Scene) -> dict[str, float]:
-    longitude, latitude = scene.place
-    return {"longitude_deg": longitude, "latitude_deg": latitude}
-
-
 def simulation_page(simulation: Simulation) -> "Figure":
     """Image at 750 nm on the left, reflectance of soil, rock and the lit footprint on the right."""
     figure = page(3.7)
     image, spectrum = figure.subplots(1, 2)
     frame = simulation.source.frame
-    image.imshow(simulation.vnir[int(np.flatnonzero(VNIR_NM == 750.0)[0])], cmap="gray", interpolation="nearest")
+    image.imshow(simulation.vnir[int(np.flatnonzero(VNIR_NM == IMAGE_NM)[0])], cmap="gray", interpolation="nearest")
     for mask, color, style, name in (
         (frame.rock, VERMILION, "-", "outline of the rock"),
         (frame.shadow, GREEN, "-.", "outline of the shadow"),
@@ -421,8 +416,7 @@ def simulation_page(simulation: Simulation) -> "Figure":
         if mask.any():
             image.contour(mask, levels=[0.5], colors=color, linestyles=style, linewidths=1)
             image.plot([], [], color=color, linestyle=style, linewidth=1, label=name)
-    turn, (line, sample, radius) = np.linspace(0, 2 * np.pi, 181), FOOTPRINT
-    draw_footprint(image, sample + radius * np.cos(turn), line + radius * np.sin(turn), "SWIR field of view")
+    draw_footprint(image, "SWIR field of view")
     image.set(xlabel="sample [px]", ylabel="line [px]", title="image at 750 nm")
     truth = simulation.truth
     spectrum.plot(truth.wavelength_nm, truth.reflectance, color="black", label="lit ground in the field of view")
