@@ -48,8 +48,10 @@ class Compiled:
         with _MAKING:
             if part not in self._dispatchers:
                 function, put_callees = _with_places(self.__dict__["__wrapped__"])
-                self._dispatchers[part] = dispatcher(function, self._options, part)
+                made = self._dispatchers[part] = dispatcher(function, self._options, part)
                 put_callees()
+                if not part:  # called as plain Python it calls what the module has
+                    made.py_func = self.__dict__["__wrapped__"]
                 self._ready = self._ready or not part
         return self._dispatchers[part]
 
