@@ -112,6 +112,7 @@ def _offer(
     class Written(AbstractTemplate):  # type: ignore[misc]
         key = symbol
         prefer_literal = True
+        metadata = {"target": "cpu"}  # so that numba asks it before its dozens of others
 
         def generic(self, args: Any, kws: Any) -> Any:
             if kws:

@@ -66,6 +66,14 @@ class _PartCompiler(Compiler):  # type: ignore[misc]
         super().__init__(typing, target, library or _PartLibrary(target.codegen(), "part"), *others)
 
 
+def _of_plain_types(part: Any) -> Any:
+    """Numba would compile a function anew for every constant that it is called with."""
+    if hasattr(part, "get_call_template"):  # unless it is to stay plain Python
+        original = part.get_call_template
+        part.get_call_template = lambda args, kws: original(tuple(map(numba.types.unliteral, args)), kws)
+    return part
+
+
 def dispatcher(function: Callable[..., Any], options: dict[str, Any], part: bool = False) -> Any:
     """What numba makes of a function: compiled at its first call, from the cache where that is safe.
 
@@ -75,7 +83,7 @@ def dispatcher(function: Callable[..., Any], options: dict[str, Any], part: bool
     keep_copies_apart()
     if part:
         bare = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": _PartCompiler}
-        return numba.njit(**options, **bare)(function)
+        return _of_plain_types(numba.njit(**options, **bare)(function))
     try:
         made = numba.njit(cache=True, **options)(function)
     except RuntimeError:
