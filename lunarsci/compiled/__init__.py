@@ -105,6 +105,11 @@ def in_lanes(function: Callable[..., Any], **options: Any) -> Any:
     return compiled(function, nogil=True, **LANE_OPTIONS, **options)
 
 
+def uncounted(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """Compile a function without counts of who uses an array, which cost more than short loops; it can make none."""
+    return compiled(function, nogil=True, error_model="numpy", _nrt=False, **options)
+
+
 def joined(function: Callable[..., Any]) -> Any:
     """Compile a function that only calls others as a part of its callers: each of them would optimise it all anew."""
     return compiled(function, nogil=True, inline="always")
