@@ -148,7 +148,11 @@ def keep_copies_apart() -> None:
 
     def optimized(library: Any) -> None:
         _link_parts(library)
-        original(library)
+        if any(function.name.startswith("NRT_") for function in library._final_module.functions):
+            original(library)
+        else:  # numba optimises everything twice so that few uses are left to be counted
+            manager, builder = library._codegen._module_pass_manager()
+            manager.run(library._final_module, builder)
         with contextlib.suppress(AttributeError):
             _keep_to_itself(library)
 

@@ -420,37 +420,22 @@ def coarse_size(channels: int) -> int:
 
 def coarsened(fine: Channels, together: int) -> Channels:
     """Weighted means of `together` channels each; channels without weight do not count."""
-    rows, channels = fine.data.shape
+    channels = fine.data.shape[1]
     cells = -(-channels // together)
-    coarse = Channels(
-        np.empty((rows, cells)), np.empty((rows, fine.columns.shape[1], cells)), np.empty((rows, cells)),
-        np.empty((rows, cells)),
-    )  # fmt: skip
-    _coarsen(fine, together, coarse)
-    return coarse
 
+    def cut(values: FloatArray) -> FloatArray:
+        room = [(0, 0)] * (values.ndim - 1) + [(0, cells * together - channels)]
+        return np.pad(values, room).reshape(*values.shape[:-1], cells, together)
 
-@uncounted
-def _coarsen(fine: Any, together: int, coarse: Any) -> None:
-    rows, channels = fine.data.shape
-    for row in range(rows):
-        shared_row = min(row, fine.wavelength.shape[0] - 1)
-        for cell in range(coarse.data.shape[1]):
-            first, last = cell * together, min((cell + 1) * together, channels)
-            total = 0.0
-            for i in range(first, last):
-                total += fine.root_weight[row, i] ** 2
-            place, value = 0.0, 0.0
-            for m in range(fine.columns.shape[1]):
-                coarse.columns[row, m, cell] = 0.0
-            for i in range(first, last):
-                share = fine.root_weight[row, i] ** 2 / total if total > 0.0 else 1.0 / (last - first)
-                place += share * fine.wavelength[shared_row, i]
-                value += share * fine.data[row, i]
-                for m in range(fine.columns.shape[1]):
-                    coarse.columns[row, m, cell] += share * fine.columns[shared_row, m, i]
-            coarse.wavelength[row, cell], coarse.data[row, cell] = place, value
-            coarse.root_weight[row, cell] = math.sqrt(total)
+    def summed(parts: FloatArray) -> FloatArray:
+        return np.asarray(sum((parts[..., i] for i in range(1, together)), start=parts[..., 0].copy()))
+
+    weight, alike = cut(fine.root_weight**2), cut(np.ones(channels))
+    total = summed(weight)
+    with np.errstate(invalid="ignore"):
+        share = np.where(total[..., None] > 0.0, weight / total[..., None], alike / alike.sum(axis=1, keepdims=True))
+    means = summed(share * cut(fine.wavelength)), summed(share[:, None] * cut(fine.columns))
+    return Channels(*means, summed(share * cut(fine.data)), np.sqrt(total))
 
 
 @uncounted
