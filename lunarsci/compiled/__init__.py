@@ -8,7 +8,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import update_wrapper
 from threading import RLock
-from types import CodeType
+from types import CellType, CodeType, FunctionType
 from typing import Any
 
 VECTORS = {"reassoc", "contract", "nsz", "arcp"}
@@ -21,17 +21,17 @@ _MAKING = RLock()
 class Compiled:
     """A function that is compiled with numba when it is first called; what else is asked of it, numba's has.
 
-    Before that, the compiled functions that it names are made, too, and stand in their modules in place of these, since
-    numba compiles calls of its own dispatchers alone.
+    The compiled functions that it names are parts of its machine code: numba finds their types once, and code is
+    optimised once, for the function that Python calls.
     """
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
         update_wrapper(self, function)
         self._options, self._ready = options, False
-        self._dispatcher: Any = None
+        self._dispatchers: dict[bool, Any] = {}
 
     def __call__(self, *arguments: Any) -> Any:
-        return (self._dispatcher if self._ready else self.dispatcher())(*arguments)
+        return (self._dispatchers[False] if self._ready else self.dispatcher())(*arguments)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
@@ -41,28 +41,39 @@ class Compiled:
     def __reduce__(self) -> Any:
         return self.dispatcher().__reduce__()
 
-    def dispatcher(self) -> Any:
-        """What numba compiles and calls."""
+    def dispatcher(self, part: bool = False) -> Any:
+        """What numba compiles and calls, or what it makes a part of other functions."""
         from lunarsci.compiled.machine_code import dispatcher
 
         with _MAKING:
-            if self._dispatcher is None:
-                function = self.__dict__["__wrapped__"]
-                self._dispatcher = dispatcher(function, self._options)
-                _make_callees(function)
-                self._ready = True
-        return self._dispatcher
+            if part not in self._dispatchers:
+                function, put_callees = _with_places(self.__dict__["__wrapped__"])
+                made = self._dispatchers[part] = dispatcher(function, self._options, part)
+                put_callees()
+                if not part:  # called as plain Python it calls what the module has
+                    made.py_func = self.__dict__["__wrapped__"]
+                self._ready = self._ready or not part
+        return self._dispatchers[part]
 
 
-def _make_callees(function: Callable[..., Any]) -> None:
-    """Dispatchers in place of the compiled functions that a function names, in its module or around it."""
-    namespace, names = function.__globals__, _names(function.__code__)
-    for name in names & namespace.keys():
-        if isinstance(namespace[name], Compiled):
-            namespace[name] = namespace[name].dispatcher()
-    for cell in function.__closure__ or ():
-        if isinstance(cell.cell_contents, Compiled):
-            cell.cell_contents = cell.cell_contents.dispatcher()
+def _with_places(function: Callable[..., Any]) -> tuple[Callable[..., Any], Callable[[], None]]:
+    """A copy of a function, and what puts dispatchers in place of the compiled functions that it names.
+
+    Numba compiles calls of its own dispatchers alone; one that calls itself has to be there before.
+    """
+    namespace, names = dict(function.__globals__), _names(function.__code__)
+    cells = tuple(CellType(cell.cell_contents) for cell in function.__closure__ or ())
+    copy = FunctionType(function.__code__, namespace, function.__name__, function.__defaults__, cells or None)
+
+    def put_callees() -> None:
+        for name in names & namespace.keys():
+            if isinstance(namespace[name], Compiled):
+                namespace[name] = namespace[name].dispatcher(part=True)
+        for cell in cells:
+            if isinstance(cell.cell_contents, Compiled):
+                cell.cell_contents = cell.cell_contents.dispatcher(part=True)
+
+    return update_wrapper(copy, function), put_callees
 
 
 def _names(code: CodeType) -> set[str]:
@@ -92,6 +103,11 @@ def threads() -> int:
 def in_lanes(function: Callable[..., Any], **options: Any) -> Any:
     """Compile a loop that may work on several arguments at once: divisions unchecked, products fused, sums in order."""
     return compiled(function, nogil=True, **LANE_OPTIONS, **options)
+
+
+def uncounted(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """Compile a function without counts of who uses an array, which cost more than short loops; it can make none."""
+    return compiled(function, nogil=True, error_model="numpy", _nrt=False, **options)
 
 
 def joined(function: Callable[..., Any]) -> Any:

@@ -8,6 +8,7 @@ import inspect
 import operator
 from collections.abc import Callable, Sequence
 from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 from llvmlite import ir
@@ -112,6 +113,7 @@ def _offer(
     class Written(AbstractTemplate):  # type: ignore[misc]
         key = symbol
         prefer_literal = True
+        metadata = MappingProxyType({"target": "cpu"})  # so that numba asks it before its dozens of others
 
         def generic(self, args: Any, kws: Any) -> Any:
             if kws:

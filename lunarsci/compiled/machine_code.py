@@ -28,7 +28,8 @@ from typing import Any
 import llvmlite.binding as llvm
 import numba
 from numba.core.caching import IndexDataCacheFile
-from numba.core.codegen import CPUCodeLibrary
+from numba.core.codegen import CPUCodeLibrary, JITCodeLibrary
+from numba.core.compiler import Compiler
 
 from lunarsci.compiled.instructions import offer_all
 from lunarsci.errors import LunarSciWarning
@@ -42,10 +43,47 @@ ROOT = 0
 """The user who may write everywhere."""
 
 
-def dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> Any:
-    """What numba makes of a function: compiled at its first call, from the cache where that is safe."""
+class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
+    """Code that runs as a part of its callers alone: neither optimised nor translated by itself."""
+
+    def finalize(self) -> None:
+        self._raise_if_finalized()
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        return 0
+
+    @property
+    def codegen(self) -> Any:
+        return self
+
+    def set_env(self, env_name: str, env: Any) -> None:
+        """Only what Python calls has an environment."""
+
+
+class _PartCompiler(Compiler):  # type: ignore[misc]
+    def __init__(self, typing: Any, target: Any, library: Any, *others: Any) -> None:
+        super().__init__(typing, target, library or _PartLibrary(target.codegen(), "part"), *others)
+
+
+def _of_plain_types(part: Any) -> Any:
+    """Numba would compile a function anew for every constant that it is called with."""
+    if hasattr(part, "get_call_template"):  # unless it is to stay plain Python
+        original = part.get_call_template
+        part.get_call_template = lambda args, kws: original(tuple(map(numba.types.unliteral, args)), kws)
+    return part
+
+
+def dispatcher(function: Callable[..., Any], options: dict[str, Any], part: bool = False) -> Any:
+    """What numba makes of a function: compiled at its first call, from the cache where that is safe.
+
+    A `part` can be called by compiled functions alone, whose machine code it becomes a part of.
+    """
     offer_all()
     keep_copies_apart()
+    if part:
+        bare = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": _PartCompiler}
+        return _of_plain_types(numba.njit(**options, **bare)(function))
     try:
         made = numba.njit(cache=True, **options)(function)
     except RuntimeError:
@@ -109,12 +147,30 @@ def keep_copies_apart() -> None:
         return
 
     def optimized(library: Any) -> None:
-        original(library)
+        _link_parts(library)
+        if any(function.name.startswith("NRT_") for function in library._final_module.functions):
+            original(library)
+        else:  # numba optimises everything twice so that few uses are left to be counted
+            manager, builder = library._codegen._module_pass_manager()
+            manager.run(library._final_module, builder)
         with contextlib.suppress(AttributeError):
             _keep_to_itself(library)
 
     optimized.keeps_copies_apart = True  # type: ignore[attr-defined]
     CPUCodeLibrary._optimize_final_module = optimized
+
+
+def _link_parts(library: Any) -> None:
+    """Bring in what the parts of a library call in turn."""
+    wanted = list(library._linking_libraries)
+    reached = set(wanted)
+    while wanted:
+        callee = wanted.pop()
+        for other in callee._linking_libraries if isinstance(callee, _PartLibrary) else ():
+            if other not in reached:
+                reached.add(other)
+                wanted.append(other)
+                library._final_module.link_in(other._get_module_for_linking(), preserve=True)
 
 
 def _keep_to_itself(library: Any) -> None:

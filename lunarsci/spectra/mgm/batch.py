@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
-from lunarsci.compiled import compiled, each_in_threads
+from lunarsci.compiled import each_in_threads
 from lunarsci.result import AS_PRIOR, doubt_about, from_prior
 from lunarsci.spectra.mgm import TREND_SIGMA
 from lunarsci.spectra.mgm.assemblages import PYROXENES, Assemblage
@@ -124,7 +124,8 @@ def composition_moments(model: MgmModel, values: FloatArray, covariance: FloatAr
     result = np.empty((len(values), len(items), 2))
     if items:
         centres, gain, first = _composition_law(model.assemblage)
-        _average(values[:, m::3] - centres, covariance[:, m:, m:], gain, first, result[:, :, 0], result[:, :, 1])
+        result[:, :, 0] = first[0] + (values[:, m::3] - centres) @ gain[:, ::3].T
+        result[:, :, 1] = first[1] + np.einsum("kp,npq,kq->nk", gain, covariance[:, m:, m:], gain, optimize=True)
     return result
 
 
@@ -136,21 +137,6 @@ def _composition_law(assemblage: Assemblage) -> tuple[FloatArray, FloatArray, tu
     gain = np.asarray(np.linalg.solve(prior_covariance(assemblage), slopes @ spread).T, dtype=np.float64)
     centres = np.array([band.center_nm / NM_PER_UM for band in assemblage.bands])
     return centres, gain, (np.array([item.mean for item in items]), np.diag(spread - gain @ slopes @ spread))
-
-
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def _average(offset: Any, covariance: Any, gain: Any, first: Any, mean: Any, variance: Any) -> None:
-    """x0 + G (c - c0) and the diagonal of P - G S P + G V G', row by row."""
-    compositions, size = gain.shape
-    for row in range(mean.shape[0]):
-        for k in range(compositions):
-            total, spread = first[0][k], first[1][k]
-            for p in range(0, size, 3):
-                total += gain[k, p] * offset[row, p // 3]
-            for p in range(size):
-                for q in range(size if gain[k, p] != 0.0 else 0):
-                    spread += gain[k, p] * covariance[row, p, q] * gain[k, q]
-            mean[row, k], variance[row, k] = total, spread
 
 
 NOT_FITTED = 3

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.compiled import VECTORS, compiled
+from lunarsci.compiled import VECTORS, uncounted
 from lunarsci.compiled.lanes import aligned, choose, exponential, highest, load, logarithm, lowest, root, spread, store
 
 TILE = 4
@@ -39,7 +39,7 @@ def padded_matrix(size: int) -> FloatArray:
     return matrix
 
 
-@compiled
+@uncounted
 def matrix_side(matrix: Any) -> int:
     """Columns of a matrix: rows (rows + `TILE`) = its size."""
     rows = TILE
@@ -48,7 +48,7 @@ def matrix_side(matrix: Any) -> int:
     return rows + TILE
 
 
-@compiled(forceinline=True)  # type: ignore[untyped-decorator]
+@uncounted(forceinline=True)  # type: ignore[untyped-decorator]
 def _tile(matrix: Any, side: int, k: int, j: int) -> None:
     """A_kj - sum_i U_ik U_ij, i < k, of `TILE` rows from k and columns from j, each sum in a register of its own."""
     at = k * side + j
@@ -104,7 +104,7 @@ def _tile(matrix: Any, side: int, k: int, j: int) -> None:
     store(matrix, at + 3, s33)
 
 
-@compiled
+@uncounted
 def factorise(matrix: Any, side: int) -> Any:
     """Factor in place; the least pivot, which is not above 0 where there is no factor."""
     least = spread(1.0)
@@ -125,7 +125,7 @@ def factorise(matrix: Any, side: int) -> Any:
     return least
 
 
-@compiled
+@uncounted
 def back_substitute(matrix: Any, size: int, side: int, solution: Any) -> None:
     """Solve U x = y, where y is the right-hand side of the factorised matrix."""
     for k in range(size):
@@ -137,7 +137,7 @@ def back_substitute(matrix: Any, size: int, side: int, solution: Any) -> None:
             store(solution, i, load(solution, i) - load(matrix, i * side + k) * value)
 
 
-@compiled
+@uncounted
 def invert(matrix: Any, size: int, side: int, inverse: Any) -> None:
     """Fill the upper triangle of `inverse` (size size, 8) from a factor: V = U^-1 row by row, then V V'."""
     for p in range(size - 1, -1, -1):
@@ -156,7 +156,7 @@ def invert(matrix: Any, size: int, side: int, inverse: Any) -> None:
             store(inverse, p * size + q, total)
 
 
-@compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
+@uncounted(fastmath=VECTORS)  # type: ignore[untyped-decorator]
 def prior_share(parameters: Any, prior: Any, precision: Any) -> float:
     """(p - prior)' precision (p - prior) of one point."""
     share = 0.0
@@ -168,7 +168,7 @@ def prior_share(parameters: Any, prior: Any, precision: Any) -> float:
     return share
 
 
-@compiled
+@uncounted
 def prior_pull(point: Any, prior: Any, precision: Any, pull: Any) -> Any:
     """Fill `pull` with precision (p - prior); (p - prior)' precision (p - prior)."""
     size, share = prior.size, spread(0.0)
@@ -182,7 +182,7 @@ def prior_pull(point: Any, prior: Any, precision: Any, pull: Any) -> Any:
     return share
 
 
-@compiled
+@uncounted
 def damped(
     curvature: Any, precision: Any, scale: Any, growth: Any, free: Any, size: int, side: int, matrix: Any
 ) -> None:
@@ -196,7 +196,7 @@ def damped(
         store(matrix, p * side + p, choose(is_free, diagonal, spread(1.0)))
 
 
-@compiled
+@uncounted
 def _right_side(
     curvature: Any, precision: Any, scale: Any, slope: Any, pull: Any, free: Any, step: Any, held_steps: int,
     side: int, matrix: Any,
@@ -212,7 +212,7 @@ def _right_side(
         store(matrix, (p + 1) * side - TILE, choose(load(free, p), total, load(step, p)))
 
 
-@compiled
+@uncounted
 def solve_step(
     curvature: Any, precision: Any, scale: Any, growth: Any, slope: Any, pull: Any, free: Any, held_steps: int,
     matrix: Any, step: Any,
@@ -226,7 +226,7 @@ def solve_step(
     return least
 
 
-@compiled
+@uncounted
 def clip_to_bounds(point: Any, lower: Any, upper: Any, step: Any, free: Any) -> Any:
     """Stop at its bound each step that would cross it, and free its parameter no longer; above 0 where one did."""
     crossed = spread(0.0)
@@ -240,7 +240,7 @@ def clip_to_bounds(point: Any, lower: Any, upper: Any, step: Any, free: Any) -> 
     return crossed
 
 
-@compiled
+@uncounted
 def free_again(
     point: Any, lower: Any, upper: Any, scale: Any, slope: Any, pull: Any, renewed: Any, free: Any, step: Any
 ) -> None:
@@ -259,7 +259,7 @@ def free_again(
         store(step, p, choose(renewed, zero, load(step, p)))
 
 
-@compiled
+@uncounted
 def predicted_decrease(curvature: Any, precision: Any, scale: Any, slope: Any, pull: Any, step: Any) -> Any:
     """By how much the quadratic model of the objective falls along a step."""
     size, decrease = step.shape[0], spread(0.0)
@@ -275,7 +275,7 @@ def predicted_decrease(curvature: Any, precision: Any, scale: Any, slope: Any, p
 LEAST_CONTINUUM = 1e-12
 
 
-@compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
+@uncounted(fastmath=VECTORS)  # type: ignore[untyped-decorator]
 def gaussian(wavelength: Any, centre: float, inverse_sigma: float, values: Any) -> None:
     """Fill `values` (n,) with exp(-(lambda - centre)^2 inverse_sigma^2 / 2)."""
     for i in range(wavelength.size):
@@ -303,17 +303,21 @@ def model_and_jacobian(
     ----------
     Sunshine, Pieters & Pratt (1990), J. Geophys. Res. 95, 6955, 10.1029/JB095iB05p06955.
     """
-    size = wavelength_um.size
-    residual, work = np.empty(size), np.empty(size)
-    jacobian = np.empty((parameters.size, size))
-    chi2 = residuals(
-        parameters, wavelength_um, np.ascontiguousarray(basis.T), logarithmic, np.zeros(size), np.ones(size), residual,
-        jacobian, work,
-    )  # fmt: skip
-    return (-residual, jacobian) if math.isfinite(chi2) else None
+    m, (centre, fwhm, strength) = basis.shape[1], parameters[basis.shape[1] :].reshape(-1, 3).T[:, :, None]
+    level, jacobian = basis @ parameters[:m], np.empty((parameters.size, wavelength_um.size))
+    if not logarithmic and not level.min() > LEAST_CONTINUUM:
+        return None
+    x = (wavelength_um - centre) * (FWHM_OVER_SIGMA / fwhm)
+    shape = np.exp(-0.5 * x * x)
+    jacobian[:m] = basis.T if logarithmic else basis.T / level
+    jacobian[m::3] = shape * x * strength * FWHM_OVER_SIGMA / fwhm
+    jacobian[m + 1 :: 3] = shape * x * x * strength / fwhm
+    jacobian[m + 2 :: 3] = shape
+    ln_model = (level if logarithmic else np.log(level)) + (strength * shape).sum(axis=0)
+    return (ln_model, jacobian) if np.isfinite(ln_model).all() else None
 
 
-@compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
+@uncounted(fastmath=VECTORS)  # type: ignore[untyped-decorator]
 def residuals(
     parameters: Any, wavelength: Any, columns: Any, logarithmic: bool, data: Any, root_weight: Any, residual: Any,
     jacobian: Any, work: Any,
@@ -344,7 +348,7 @@ def residuals(
     return chi2
 
 
-@compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
+@uncounted(fastmath=VECTORS)  # type: ignore[untyped-decorator]
 def _continuum(
     parameters: Any, columns: Any, logarithmic: bool, data: Any, root_weight: Any, residual: Any, jacobian: Any,
     work: Any,
@@ -362,7 +366,7 @@ def _continuum(
     return True
 
 
-@compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
+@uncounted(fastmath=VECTORS)  # type: ignore[untyped-decorator]
 def _subtract_continuum(
     parameters: Any, columns: Any, logarithmic: bool, data: Any, level: Any, rest: Any
 ) -> bool:  # fmt: skip
@@ -389,7 +393,7 @@ def _subtract_continuum(
     return True
 
 
-@compiled
+@uncounted
 def energies_of(target: Any, point: Any, space: Any, energy: Any) -> None:
     """Halves of chi-square, of the prior's share, and of the squared distance of the continuum from its start."""
     channels, _, logarithmic, prior, precision, start = target[:6]
@@ -403,7 +407,7 @@ def energies_of(target: Any, point: Any, space: Any, energy: Any) -> None:
         energy[2] += 0.5 * start[1, m] * (point[m] - start[0, m]) ** 2
 
 
-@compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
+@uncounted(fastmath=VECTORS)  # type: ignore[untyped-decorator]
 def force_of(target: Any, beta: float, point: Any, space: Any, force: Any) -> bool:
     """Minus the slope of the energy, from the coarse channels; False where the continuum is not above 0.
 
@@ -433,7 +437,7 @@ def force_of(target: Any, beta: float, point: Any, space: Any, force: Any) -> bo
     return True
 
 
-@compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
+@uncounted(fastmath=VECTORS)  # type: ignore[untyped-decorator]
 def _project(point: Any, wavelength: Any, columns: Any, rest: Any, level: Any, shapes: Any, force: Any) -> None:
     """Sums of `rest` times the derivatives of ln R."""
     degrees, channels = columns.shape
@@ -477,7 +481,7 @@ def rows_of_sums(degrees: int, bands: int) -> int:
     return plain * plain + 3 * plain * bands + MOMENTS * bands * bands + 1
 
 
-@compiled
+@uncounted
 def continuum_rows(channels: Any, first: int, point: Any, degrees: int, logarithmic: bool, work: Any) -> Any:
     """Derivatives by the continuum's coefficients and ln R - ln C of one block; the lowest value of C."""
     places, columns, data, roots = channels
@@ -499,7 +503,7 @@ def continuum_rows(channels: Any, first: int, point: Any, degrees: int, logarith
     return least
 
 
-@compiled
+@uncounted
 def gaussian_rows(channels: Any, first: int, point: Any, degrees: int, work: Any) -> None:
     """Weighted Gaussians times the powers 0, 1, 2 of wavelength, and the residual without the bands, of one block."""
     places, _, _, roots = channels
@@ -523,7 +527,7 @@ def gaussian_rows(channels: Any, first: int, point: Any, degrees: int, work: Any
         store(work, at + i, load(work, at + i) * load(roots, first + i))
 
 
-@compiled
+@uncounted
 def _add_plain(work: Any, degrees: int, bands: int, sums: Any) -> None:
     """Sums of the continuum's rows and the residual among themselves and with every band."""
     plain, target = degrees + 1, 0
@@ -549,7 +553,7 @@ def _add_plain(work: Any, degrees: int, bands: int, sums: Any) -> None:
             target += 3
 
 
-@compiled
+@uncounted
 def _add_bands(work: Any, degrees: int, bands: int, sums: Any) -> None:
     """Moments 0 to 4 of the product of every two bands."""
     begin, start = (degrees + 1) * BLOCK, (degrees + 1) * (degrees + 1 + 3 * bands)
@@ -574,7 +578,7 @@ def _add_bands(work: Any, degrees: int, bands: int, sums: Any) -> None:
             store(sums, target + 4, s4)
 
 
-@compiled
+@uncounted
 def evaluate(
     channels: Any, point: Any, degrees: int, logarithmic: bool, curved: int, work: Any, residuals: Any, sums: Any
 ) -> None:
@@ -598,12 +602,12 @@ def evaluate(
     store(sums, last, least)
 
 
-@compiled(forceinline=True)  # type: ignore[untyped-decorator]
+@uncounted(forceinline=True)  # type: ignore[untyped-decorator]
 def _keep(target: Any, row: int, taken: Any, value: Any) -> None:
     store(target, row, choose(taken, value, load(target, row)))
 
 
-@compiled(forceinline=True)  # type: ignore[untyped-decorator]
+@uncounted(forceinline=True)  # type: ignore[untyped-decorator]
 def _shape(point: Any, band: int) -> Any:
     """A band's derivatives are g, by strength; by_centre (t - centre) g; and by_width (t - centre)^2 g."""
     centre, inverse = load(point, band) - ORIGIN, FWHM_OVER_SIGMA / load(point, band + 1)
@@ -611,7 +615,7 @@ def _shape(point: Any, band: int) -> Any:
     return centre, by_centre, by_centre / load(point, band + 1)
 
 
-@compiled(forceinline=True)  # type: ignore[untyped-decorator]
+@uncounted(forceinline=True)  # type: ignore[untyped-decorator]
 def _keep_band(target: Any, row: int, stride: int, taken: Any, shape: Any, s0: Any, s1: Any, s2: Any) -> None:
     """Sums of something with g, t g, t^2 g become those with a band's derivatives by centre, width and strength."""
     centre, by_centre, by_width = shape
@@ -620,7 +624,7 @@ def _keep_band(target: Any, row: int, stride: int, taken: Any, shape: Any, s0: A
     _keep(target, row + 2 * stride, taken, s0)
 
 
-@compiled(forceinline=True)  # type: ignore[untyped-decorator]
+@uncounted(forceinline=True)  # type: ignore[untyped-decorator]
 def _between_bands(sums: Any, row: int, first: Any, second: Any, target: Any, at: int, side: int, taken: Any) -> None:
     """The nine products of the derivatives of two bands."""
     s0, s1, s2 = load(sums, row), load(sums, row + 1), load(sums, row + 2)
@@ -637,7 +641,7 @@ def _between_bands(sums: Any, row: int, first: Any, second: Any, target: Any, at
     _keep_band(target, at + 2 * side, 1, taken, second, s0, s1, s2)
 
 
-@compiled
+@uncounted
 def update(sums: Any, point: Any, degrees: int, taken: Any, curvature: Any, slope: Any) -> None:
     """In the lanes where `taken` is above 0: the upper triangle of J J' into `curvature` (p p, 8), J r into `slope`."""
     size, plain = point.shape[0], degrees + 1

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.compiled import compiled
+from lunarsci.compiled import uncounted
 from lunarsci.compiled.formulas import LANES
 from lunarsci.compiled.lanes import aligned, choose, highest, load, lowest, root, spread, store
 from lunarsci.spectra.mgm.forward import (
@@ -67,7 +67,7 @@ def laplace_errors(spectra: Channels, problem: FitProblem, points: FloatArray, c
     return result
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@uncounted
 def _describe(spectra: Any, problem: Any, points: Any, chi2: Any, space: Any, rooms: Any, result: Any) -> None:
     rows, size = points.shape
     channels, state = spectra.data.shape[1], space.state
@@ -96,7 +96,7 @@ def _describe(spectra: Any, problem: Any, points: Any, chi2: Any, space: Any, ro
         _hand_over(space, rooms[1], first, result.covariance)
 
 
-@compiled
+@uncounted
 def _linearise(channels: Any, problem: Any, space: Any) -> Any:
     """Residuals, J r and the upper triangle of J J' at the workspace's points; the lowest value of the continuum.
 
@@ -117,7 +117,7 @@ def _linearise(channels: Any, problem: Any, space: Any) -> Any:
     return least
 
 
-@compiled
+@uncounted
 def _derivatives(space: Any, first: int, degrees: int) -> None:
     """Turn a band's Gaussians times powers of wavelength into its derivatives by centre, width and strength."""
     row = (degrees + 1) * BLOCK
@@ -134,7 +134,7 @@ def _derivatives(space: Any, first: int, degrees: int) -> None:
         row += 3 * BLOCK
 
 
-@compiled
+@uncounted
 def _add_products(space: Any, degrees: int) -> None:
     """Add the products of all derivatives, and with the residual, of one block."""
     size, work = space.point.shape[0], space.work
@@ -152,7 +152,7 @@ def _add_products(space: Any, degrees: int) -> None:
             store(space.curvature, p * size + q, total)
 
 
-@compiled
+@uncounted
 def _misfit(space: Any, channels: int) -> Any:
     """Root mean square of data - model, of residuals that hold the root of the weight."""
     total = spread(0.0)
@@ -162,7 +162,7 @@ def _misfit(space: Any, channels: int) -> Any:
     return root(total / float(channels))
 
 
-@compiled
+@uncounted
 def _determined(problem: Any, space: Any, inverse: Any) -> None:
     """Trace of (J J' + precision)^-1 J J' of the parameters that are not fixed, into `USED`; without an inverse, their
     number."""
@@ -185,7 +185,7 @@ def _determined(problem: Any, space: Any, inverse: Any) -> None:
     store(space.state, USED, choose(pivot, total, spread(free)))
 
 
-@compiled
+@uncounted
 def _widen(problem: Any, space: Any) -> None:
     """Curvature and descent of half the objective with the data's errors widened, in place of the data's own."""
     size, share = problem.prior.size, load(space.state, WIDE)
@@ -196,7 +196,7 @@ def _widen(problem: Any, space: Any) -> None:
             store(space.curvature, p * size + q, bend + problem.precision[p, q])
 
 
-@compiled
+@uncounted
 def _bounded(problem: Any, space: Any, rooms: Any) -> None:
     """Upper triangle of the covariance, from that of the curvature; state `PIVOT` is above 0 where there is one."""
     inverse, covariance = rooms
@@ -217,7 +217,7 @@ def _bounded(problem: Any, space: Any, rooms: Any) -> None:
             _add_held(space, inverse, covariance, size, k)
 
 
-@compiled
+@uncounted
 def _free_within(problem: Any, space: Any) -> None:
     """Free what is not fixed and not on a bound."""
     for p in range(problem.prior.size):
@@ -226,7 +226,7 @@ def _free_within(problem: Any, space: Any) -> None:
             space.free[p, lane] = 1.0 if low < here < high else 0.0
 
 
-@compiled
+@uncounted
 def _any_held(problem: Any, space: Any, k: int) -> bool:
     """Whether parameter k is on a bound in some lane, and not fixed."""
     held = problem.lower[k] < problem.upper[k]
@@ -236,7 +236,7 @@ def _any_held(problem: Any, space: Any, k: int) -> bool:
     return held and total < LANES
 
 
-@compiled
+@uncounted
 def _free_part(space: Any, size: int, side: int) -> None:
     """The curvature of the free parameters as a matrix to be factorised; rows and columns of others are those of 1."""
     for p in range(size):
@@ -246,7 +246,7 @@ def _free_part(space: Any, size: int, side: int) -> None:
         store(space.matrix, p * side + p, choose(is_free, load(space.curvature, p * size + p), spread(1.0)))
 
 
-@compiled
+@uncounted
 def _add_held(space: Any, inverse: Any, covariance: Any, size: int, k: int) -> None:
     """What parameter k, on its bound, adds: its variance, and the free ones that follow it."""
     bend = load(space.curvature, k * size + k)
@@ -269,7 +269,7 @@ def _add_held(space: Any, inverse: Any, covariance: Any, size: int, k: int) -> N
             store(covariance, p * size + q, load(covariance, p * size + q) + more)
 
 
-@compiled
+@uncounted
 def _one_sided(slope: float, bend: float) -> float:
     """Mean of t^2 under exp(-slope t - bend t^2 / 2), t >= 0: normal law truncated at 0."""
     if not bend > 0:
@@ -282,7 +282,7 @@ def _one_sided(slope: float, bend: float) -> float:
     return (1.0 + a * a - a * ratio) / bend
 
 
-@compiled
+@uncounted
 def _hand_over(space: Any, covariance: Any, first: int, result: Any) -> None:
     """Write the covariances of the lanes to rows from `first` on."""
     rows, size = result.shape[0], result.shape[1]

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lunarsci.arrays import FloatArray, IndexArray
-from lunarsci.compiled import compiled
+from lunarsci.compiled import uncounted
 from lunarsci.compiled.formulas import LANES
 from lunarsci.compiled.lanes import aligned, choose, load, spread, store
 from lunarsci.spectra.mgm.forward import (
@@ -144,6 +144,7 @@ class Workspace(NamedTuple):
     step: Any
     free: Any
     residuals: Any
+    former: Any
     state: Any
 
 
@@ -152,18 +153,18 @@ def workspace_for(size: int, degrees: int, channels: int) -> Workspace:
     count, bands = -(-channels // BLOCK) * BLOCK, (size - degrees) // 3
     rows = (
         count, degrees * count, count, count, rows_of_work(degrees, bands), rows_of_sums(degrees, bands), size * size,
-        1, size, size, size, size, size, size, size, count, CROSSED + 1,
+        1, size, size, size, size, size, size, size, count, count, CROSSED + 1,
     )  # fmt: skip
     return Workspace(*(aligned(number) for number in rows))._replace(matrix=padded_matrix(size))
 
 
-@compiled
+@uncounted
 def channels_of(space: Any) -> Any:
     """The part of a workspace that holds spectra."""
     return space.places, space.columns, space.data, space.roots
 
 
-@compiled
+@uncounted
 def fill_lane(spectra: Any, row: int, space: Any, lane: int) -> None:
     """Copy a spectrum into a lane; channels beyond its last are that one again, without weight."""
     shared_row = min(row, spectra.wavelength.shape[0] - 1)
@@ -189,7 +190,7 @@ class _Jobs(NamedTuple):
     asked: Any
 
 
-@compiled
+@uncounted
 def _take_jobs(
     spectra: Any, problem: Any, options: Any, rows: Any, points: Any, space: Any, jobs: Any, following: int
 ) -> int:  # fmt: skip
@@ -207,13 +208,13 @@ def _take_jobs(
     return following
 
 
-@compiled
+@uncounted
 def _damp_more(state: Any, lane: int) -> None:
     state[DAMPING, lane] = max(state[DAMPING, lane], 1e-4) * state[INCREASE, lane]
     state[INCREASE, lane] *= 2.0
 
 
-@compiled
+@uncounted
 def _judge(state: Any, lane: int, chi2: float, phase: Any, tolerance: float) -> int:
     """Take a trial or refuse it, and change the damping accordingly."""
     share = state[TRIAL_SHARE, lane]
@@ -237,7 +238,7 @@ def _judge(state: Any, lane: int, chi2: float, phase: Any, tolerance: float) -> 
     return GOES_ON
 
 
-@compiled
+@uncounted
 def _judge_all(used: Any, rows: Any, options: Any, degrees: int, space: Any, jobs: Any) -> None:
     """Judge the trials of all lanes that are at work; the points of those taken move there."""
     state, sums = space.state, space.sums
@@ -259,7 +260,7 @@ def _judge_all(used: Any, rows: Any, options: Any, degrees: int, space: Any, job
             jobs.end[lane] = ITERATION_LIMIT
 
 
-@compiled
+@uncounted
 def _weigh(state: Any, lane: int, settled: bool) -> int:
     """What to do with a step that keeps within the bounds."""
     if not state[PIVOT, lane] > 0.0:
@@ -276,7 +277,7 @@ def _weigh(state: Any, lane: int, settled: bool) -> int:
     return AGAIN
 
 
-@compiled
+@uncounted
 def _step(problem: Any, space: Any, held_steps: int) -> None:
     """Solve for the steps of all lanes and clip them to the bounds."""
     state, scale = space.state, load(space.state, SCALE)
@@ -294,7 +295,7 @@ def _step(problem: Any, space: Any, held_steps: int) -> None:
     store(state, PREDICTED, decrease)
 
 
-@compiled
+@uncounted
 def _set_trial(problem: Any, space: Any, lane: int) -> None:
     """Where a lane's step leads; the lane's solution may change while others solve theirs again."""
     space.state[PROMISED, lane] = space.state[PREDICTED, lane]
@@ -303,7 +304,7 @@ def _set_trial(problem: Any, space: Any, lane: int) -> None:
         space.trial[p, lane] = min(max(trial, problem.lower[p]), problem.upper[p])
 
 
-@compiled
+@uncounted
 def _is_hopeless(state: Any, lane: int, bars: Any, options: Any, jobs: Any) -> bool:
     """Whether a descent, past its first steps and hardly damped, will end above its bar."""
     if bars.size == 0 or state[SCALE, lane] != 1.0 or state[DAMPING, lane] > GENTLE_DAMPING:
@@ -312,7 +313,7 @@ def _is_hopeless(state: Any, lane: int, bars: Any, options: Any, jobs: Any) -> b
     return bool(here - min(BELIEF * predicted, predicted + options.slack) > bars[jobs.job[lane]])
 
 
-@compiled
+@uncounted
 def _propose(problem: Any, options: Any, bars: Any, space: Any, jobs: Any) -> None:
     """A step in every lane that is at work, solved as often as bounds and damping ask for.
 
@@ -349,7 +350,7 @@ def _propose(problem: Any, options: Any, bars: Any, space: Any, jobs: Any) -> No
             _set_trial(problem, space, lane)
 
 
-@compiled
+@uncounted
 def _dismiss(problem: Any, ahead: bool, space: Any, jobs: Any, points: Any, outcomes: Any, curvatures: Any) -> int:
     """Write what the lanes that end have come to, or, `ahead`, where they go, and empty them; how many are left."""
     state, size, left = space.state, points.shape[1], 0
@@ -373,10 +374,9 @@ def _dismiss(problem: Any, ahead: bool, space: Any, jobs: Any, points: Any, outc
     return left
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
 def descend(
-    spectra: Any, used: Any, problem: Any, options: Any, rows: Any, points: Any, outcomes: Any, space: Any,
-    curvatures: Any, bars: Any,
+    spectra: Channels, used: FloatArray, problem: FitProblem, options: DescentOptions, rows: IndexArray,
+    points: FloatArray, outcomes: FloatArray, space: Workspace, curvatures: FloatArray, bars: FloatArray,
 ) -> None:  # fmt: skip
     """Move each of `points` (jobs, p) to the minimum that its neighbourhood leads to on spectrum `rows[job]`, which has
     `used[row]` channels with weight; its row of `outcomes` becomes chi-square, objective, iterations, status.
@@ -384,10 +384,15 @@ def descend(
     `curvatures`, (jobs, p, p) or (0, p, p) where not wanted, become J J' at the end, upper triangles. A descent that
     will not come below its bar, (jobs,), is given up; (0,) for none.
     """
-    jobs = _Jobs(
-        np.zeros(LANES, dtype=np.int64), np.zeros(LANES, dtype=np.int64), np.zeros(LANES, dtype=np.int64),
-        np.zeros(LANES, dtype=np.int64), np.zeros(LANES, dtype=np.bool_), np.zeros(LANES, dtype=np.bool_),
-    )  # fmt: skip
+    numbers, flags = np.zeros((4, LANES), dtype=np.int64), np.zeros((2, LANES), dtype=np.bool_)
+    _descend(spectra, used, problem, options, rows, points, outcomes, space, curvatures, bars, _Jobs(*numbers, *flags))
+
+
+@uncounted
+def _descend(
+    spectra: Any, used: Any, problem: Any, options: Any, rows: Any, points: Any, outcomes: Any, space: Any,
+    curvatures: Any, bars: Any, jobs: Any,
+) -> None:  # fmt: skip
     following, left = 0, 0
     while left > 0 or following < rows.size:
         following = _take_jobs(spectra, problem, options, rows, points, space, jobs, following)
@@ -415,40 +420,25 @@ def coarse_size(channels: int) -> int:
 
 def coarsened(fine: Channels, together: int) -> Channels:
     """Weighted means of `together` channels each; channels without weight do not count."""
-    rows, channels = fine.data.shape
+    channels = fine.data.shape[1]
     cells = -(-channels // together)
-    coarse = Channels(
-        np.empty((rows, cells)), np.empty((rows, fine.columns.shape[1], cells)), np.empty((rows, cells)),
-        np.empty((rows, cells)),
-    )  # fmt: skip
-    _coarsen(fine, together, coarse)
-    return coarse
+
+    def cut(values: FloatArray) -> FloatArray:
+        room = [(0, 0)] * (values.ndim - 1) + [(0, cells * together - channels)]
+        return np.pad(values, room).reshape(*values.shape[:-1], cells, together)
+
+    def summed(parts: FloatArray) -> FloatArray:
+        return np.asarray(sum((parts[..., i] for i in range(1, together)), start=parts[..., 0].copy()))
+
+    weight, alike = cut(fine.root_weight**2), cut(np.ones(channels))
+    total = summed(weight)
+    with np.errstate(invalid="ignore"):
+        share = np.where(total[..., None] > 0.0, weight / total[..., None], alike / alike.sum(axis=1, keepdims=True))
+    means = summed(share * cut(fine.wavelength)), summed(share[:, None] * cut(fine.columns))
+    return Channels(*means, summed(share * cut(fine.data)), np.sqrt(total))
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def _coarsen(fine: Any, together: int, coarse: Any) -> None:
-    rows, channels = fine.data.shape
-    for row in range(rows):
-        shared_row = min(row, fine.wavelength.shape[0] - 1)
-        for cell in range(coarse.data.shape[1]):
-            first, last = cell * together, min((cell + 1) * together, channels)
-            total = 0.0
-            for i in range(first, last):
-                total += fine.root_weight[row, i] ** 2
-            place, value = 0.0, 0.0
-            for m in range(fine.columns.shape[1]):
-                coarse.columns[row, m, cell] = 0.0
-            for i in range(first, last):
-                share = fine.root_weight[row, i] ** 2 / total if total > 0.0 else 1.0 / (last - first)
-                place += share * fine.wavelength[shared_row, i]
-                value += share * fine.data[row, i]
-                for m in range(fine.columns.shape[1]):
-                    coarse.columns[row, m, cell] += share * fine.columns[shared_row, m, i]
-            coarse.wavelength[row, cell], coarse.data[row, cell] = place, value
-            coarse.root_weight[row, cell] = math.sqrt(total)
-
-
-@compiled
+@uncounted
 def _slope(space: Any, problem: Any, curved: int) -> None:
     """Residuals, J r and, where `curved` is 1, J J' of a workspace's spectra at its trial points."""
     evaluate(
@@ -464,7 +454,7 @@ def _slope(space: Any, problem: Any, curved: int) -> None:
     update(space.sums, space.trial, problem.degrees, spread(1.0), space.curvature, space.slope)
 
 
-@compiled
+@uncounted
 def _shift_to_means(fine: Any, coarse: Any, together: int) -> None:
     """Shift the coarse data so that the coarse residuals are the means of the fine ones."""
     count = fine.residuals.shape[0]
@@ -478,7 +468,7 @@ def _shift_to_means(fine: Any, coarse: Any, together: int) -> None:
         store(coarse.data, cell, load(coarse.data, cell) + choose(root, shift, spread(0.0)))
 
 
-@compiled
+@uncounted
 def _shift_slope(fine: Any, coarse: Any, problem: Any) -> None:
     """Shift the coarse data by what the model changes along the step by which the two slopes differ."""
     size = coarse.point.shape[0]
@@ -493,15 +483,16 @@ def _shift_slope(fine: Any, coarse: Any, problem: Any) -> None:
     )  # fmt: skip
     for p in range(size):
         store(coarse.trial, p, load(coarse.point, p) + choose(least, load(coarse.step, p), none))
-    before = coarse.residuals.copy()
+    for i in range(coarse.data.shape[0]):
+        store(coarse.former, i, load(coarse.residuals, i))
     _slope(coarse, problem, 0)
     for i in range(coarse.data.shape[0]):
         root = load(coarse.roots, i)
-        shift = (load(before, i) - load(coarse.residuals, i)) / choose(root, root, one)
+        shift = (load(coarse.former, i) - load(coarse.residuals, i)) / choose(root, root, one)
         store(coarse.data, i, load(coarse.data, i) + shift)
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@uncounted
 def correct(
     fine: Any, coarse: Any, together: int, problem: Any, points: Any, fine_space: Any, coarse_space: Any
 ) -> None:
@@ -532,7 +523,7 @@ def correct(
                 coarse.data[first + lane, cell] = coarse_space.data[cell, lane]
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@uncounted
 def _invert_all(curvatures: Any, problem: Any, space: Any, covariances: Any) -> None:
     jobs, size, state = curvatures.shape[0], curvatures.shape[1], space.state
     one, side = spread(1.0), matrix_side(space.matrix)
