@@ -34,10 +34,11 @@ for _library in ("OPENBLAS", "OMP", "MKL"):  # several workers share the cores a
 os.environ.pop("COLUMNS", None)  # as a pipe has none; pytest-xdist gives one to its workers
 
 FIRST = (
-    *("test_former_rocks.py", "test_former_drives.py"),
-    *("test_readme.py", "test_help.py", "test_pictures.py", "test_dask_cluster.py", "test_examples.py"),
-    *("test_fuzz.py", "test_atomic.py", "test_calibrate.py", "test_pictures_page.py", "test_faults.py"),
-    *("test_laboratory.py", "test_repeatable.py", "test_mixtures.py", "test_coverage.py", "test_measured_wheels.py"),
+    *("test_former_rocks.py", "test_former_drives.py", "test_readme.py", "test_help.py", "test_pictures.py"),
+    *("test_dask_cluster.py", "test_examples.py", "test_update.py", "test_atomic.py", "test_prescribed_motion.py"),
+    *("test_twin_update.py", "test_repeatable.py", "test_wheel.py", "test_faults.py", "test_pictures_page.py"),
+    *("test_page.py", "test_calibration.py", "test_states.py", "test_fuzz.py", "test_calibrate.py"),
+    *("test_intervals.py", "test_orbital_grids.py", "test_chosen_drive.py", "test_laboratory.py", "test_startup.py"),
 )
 """Files that start first: two that compile nearly everything, each another half; then those that take longest, so that
 no worker is left with one at the end."""
