@@ -171,8 +171,6 @@ def load_benchmark() -> Callable[[str], ModuleType]:
     @cache
     def load(name: str) -> ModuleType:
         spec = importlib.util.spec_from_file_location(name, Path(__file__).parent / f"benchmarks/{name}.py")
-        assert spec is not None
-        assert spec.loader is not None
         module = importlib.util.module_from_spec(spec)
         sys.modules[name] = module
         spec.loader.exec_module(module)

@@ -4,15 +4,11 @@ import json
 import resource
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 import typer
 from lunarsci.cli import COMMANDS, command_line
-
-Run = Callable[..., Any]
 
 HELP_MAY_IMPORT = {
     "lunarsci", "typer", "rich", "click", "shellingham", "annotated_doc", "annotated_types", "pydantic",
@@ -58,7 +54,7 @@ def test_a_group_says_of_its_commands_what_they_say_of_themselves(group: str) ->
     assert listed == whole and all(listed.values())
 
 
-def test_a_command_behind_two_dashes_is_run_and_not_its_stand_in(run: Run) -> None:
+def test_a_command_behind_two_dashes_is_run_and_not_its_stand_in(run) -> None:
     done = run("spectra", "--", "fit", "no-such-file")
     assert done.code == 1 and "no such file" in done.err[0]
 

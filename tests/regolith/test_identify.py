@@ -181,7 +181,7 @@ def test_result_is_plain() -> None:
 )
 def test_impossible_assumptions_are_refused(options: dict[str, object]) -> None:
     with pytest.raises(ParameterError):
-        Assumptions(**options)  # type: ignore[arg-type]
+        Assumptions(**options)
 
 
 def test_forces_that_need_the_ground_to_pull_have_no_solution() -> None:

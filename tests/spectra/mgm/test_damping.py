@@ -55,7 +55,7 @@ def made(truth: np.ndarray = TRUTH, noise: float = 0.004, seed: int = 1) -> Spec
 
 
 def fitted(spectrum: Spectrum, model: MgmModel, **options: object) -> MgmFit:
-    [fit] = fit_damping([spectrum], model, **options)  # type: ignore[arg-type]
+    [fit] = fit_damping([spectrum], model, **options)
     assert isinstance(fit, MgmFit)
     return fit
 
@@ -247,8 +247,6 @@ def test_the_prior_damps_and_does_not_pull() -> None:
     sigma = np.sqrt(np.diag(first.covariance))
     assert np.all(np.abs(first.parameters - second.parameters) < 1e-3 * sigma)
     one, other = (fit_spectra([spectrum], model, model_error=0.02)[0] for model in tight)
-    assert isinstance(one, MgmFit)
-    assert isinstance(other, MgmFit)
     assert np.abs((one.parameters - other.parameters) / sigma).max() > 3
 
 
@@ -392,7 +390,7 @@ def test_where_a_band_is_undetermined_no_first_order_tells_what_calibration_does
 @pytest.mark.parametrize("continuum", ["wavelength", "wavenumber-cubic", "log-quadratic", "none"])
 def test_models_of_assemblages_are_fitted_and_their_pyroxene_ratio_given(continuum: str) -> None:
     """NBSR is s_OPX / (s_OPX + s_CPX): Kanner et al. (2007), 10.1016/j.icarus.2006.10.025."""
-    model = mgm_model("OPX-CPX", continuum)  # type: ignore[arg-type]
+    model = mgm_model("OPX-CPX", continuum)
     ln = np.zeros(GRID.size) if continuum == "none" else np.full(GRID.size, np.log(0.3))
     strengths = {"OPX 1": -0.5, "CPX 1": -0.2, "OPX 2": -0.45, "CPX 2": -0.15}
     for band in model.assemblage.bands:
@@ -407,7 +405,6 @@ def test_models_of_assemblages_are_fitted_and_their_pyroxene_ratio_given(continu
     slope = np.array([b, -a]) / (a + b) ** 2
     error = float(np.sqrt(slope @ fit.covariance[np.ix_(rows, rows)] @ slope))
     ratio = fit.nbsr["um2"]
-    assert ratio is not None
     assert (ratio.opx, ratio.sigma) == pytest.approx((a / (a + b), error))
     assert nbsr_abundance(fit) is None
 
@@ -423,7 +420,6 @@ def test_bands_of_a_file_have_a_ratio_where_their_minerals_are_named() -> None:
     assert unnamed.nbsr == {"um1": None, "um2": None}
     assert named.parameters.tolist() == unnamed.parameters.tolist()
     ratio = named.nbsr["um2"]
-    assert ratio is not None
     opx, cpx = (band.strength for band in named.bands[2:])
     assert ratio.opx == pytest.approx(opx / (opx + cpx))
     assert ratio.opx == pytest.approx(2 / 3, abs=0.1)
@@ -465,7 +461,7 @@ def test_spectra_that_cannot_be_fitted_say_why_in_their_place() -> None:
 )
 def test_impossible_options_are_refused(options: dict[str, object]) -> None:
     with pytest.raises(ParameterError):
-        fit_damping([made()], model_of(START), **options)  # type: ignore[arg-type]
+        fit_damping([made()], model_of(START), **options)
 
 
 @pytest.mark.reference
