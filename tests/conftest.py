@@ -1,13 +1,14 @@
 """Shared fixtures: the measured reference data, where present, and a cache of compiled code beside that of users."""
 
 import fcntl
+import gc
 import importlib.util
 import os
 import runpy
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -87,6 +88,21 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 def pytest_addoption(parser: pytest.Parser) -> None:
     help_text = "fail if more tests than these are skipped: on a machine that should have all that they need"
     parser.addoption("--most-skipped", type=int, default=None, help=help_text)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """What is collected stays to the end: Python need not look through it for garbage, again and again.
+
+    That took a third of the time of collecting, and a tenth of that of the tests.
+    """
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.collect()
+        gc.freeze()
+        gc.enable()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 
 from lunarsci.io.inputs import read_input
-from lunarsci.spectra.mgm.fit import SPREAD_CONTINUA
 from lunarsci.spectra.mgm.fit_file import read_fit_file
 
 START = """folder
@@ -58,13 +57,6 @@ def unmixed(run, *arguments: object) -> dict[str, Any]:
 
 def bands(record: dict[str, Any]) -> dict[str, dict[str, Any]]:
     return {band["name"]: band for band in record["bands"]}
-
-
-@pytest.mark.parametrize("continuum", SPREAD_CONTINUA)
-def test_every_continuum_can_be_chosen(run, rock: Path, continuum: str) -> None:
-    record = fitted(run, rock, "--continuum", continuum, "--starts", 1)
-    assert record["continuum"] == continuum
-    assert record["rms_ln"] < 0.02
 
 
 def test_constraints_hold_and_are_in_the_provenance(run, rock: Path) -> None:
@@ -115,16 +107,6 @@ def test_intervals_hold_their_value_and_the_wider_one_the_narrower(run, rock: Pa
             assert low95 <= low68 <= item["value"] <= high68 <= high95, item
     shown = run("spectra", "fit", *options).out
     assert f"intervals by {errors}" in shown
-
-
-def test_equal_seeds_draw_equal_samples(run, rock: Path, tmp_path: Path) -> None:
-    """From a copy of the file, since equal questions about one file are answered once here."""
-    options = ("--assemblage", "OPX", "--errors", "sample", "--starts", 1)
-    copy = tmp_path / "rock.csv"
-    copy.write_bytes(rock.read_bytes())
-    first, second = (fitted(run, file, *options, code=3)["intervals"] for file in (rock, copy))
-    other = fitted(run, copy, *options, "--seed", 4, code=3)["intervals"]
-    assert first == second != other
 
 
 def test_the_assemblage_can_be_chosen_by_the_spectrum(run, rock: Path) -> None:

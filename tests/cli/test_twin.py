@@ -77,9 +77,3 @@ def test_the_sun_and_an_empty_battery(run, plan: Path) -> None:
     for option in (("--sun", "30"), ("--sun", "0,95"), ("--charge", "1.5"), ("--sun", "noon@1,2")):
         wrong = run("twin", "predict", plan, *option)
         assert (wrong.code, wrong.out, len(wrong.err)) == (2, "", 1) and option[0] in wrong.err[0]
-
-
-def test_the_table_names_sense_ellipse_and_worst_drive(run, plan: Path) -> None:
-    text = run("twin", "predict", plan).out
-    assert "≥ 0.05" in text and "≤ 0.3" in text
-    assert "error ellipse" in text and "worst drive: member" in text

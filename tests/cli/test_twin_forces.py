@@ -35,6 +35,7 @@ def test_forces_of_a_predicted_drive(run, plan: Path, tmp_path: Path) -> None:
 def test_forces_of_several_soils_count_alike(run, plan: Path) -> None:
     done = run("twin", "forces", plan, "--sweep", "friction_angle_deg=30:50:3", "--field", "members")
     assert done.code == 0 and done.out == "3\n"
+    assert run("twin", "forces", plan, "--seed", "4").code == 2, "one drive has nothing to draw"
 
 
 def test_a_motion_is_explained_by_its_soil_and_not_by_another(run, plan: Path, tmp_path: Path) -> None:

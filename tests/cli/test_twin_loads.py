@@ -117,7 +117,3 @@ def test_a_correlation_without_errors_and_a_plan_beside_commands_are_refused(
     assert "leave out the plan" in run("twin", "loads", files["plan"], "--motion", bare, "--draws", 16).err[-1]
     bare.write_text("time_s,x_m,y_m,yaw_deg\n0,0,0,0\n1,0.05,0,0\n2,0.1,0,0\n")
     assert "leave it out" in run("twin", "loads", files["plan"], "--motion", bare, "--member", 0).err[-1]
-
-
-def test_a_seed_of_one_drive_is_refused(run) -> None:
-    assert run("twin", "forces", "--seed", "4").code == 2

@@ -15,7 +15,6 @@ from lunarsci.compiled.formulas import LANES
 from lunarsci.compiled.lanes import aligned, exponential, load, logarithm, spread, store
 from lunarsci.spectra.mgm.fit import fit_batch
 from lunarsci.spectra.mgm.forward import (
-    FWHM_OVER_SIGMA,
     back_substitute,
     clip_to_bounds,
     evaluate,
@@ -197,14 +196,9 @@ def written_out(point: np.ndarray, basis: np.ndarray) -> np.ndarray:
     """The same model from lmfit's area-normalised Gaussian."""
     total = np.log(basis @ point[: basis.shape[1]])
     for centre, fwhm, strength in point[basis.shape[1] :].reshape(-1, 3):
-        sigma = fwhm / FWHM_OVER_SIGMA
+        sigma = fwhm / 2.3548200450309493  # 2 sqrt(2 ln 2), any table of the normal law
         total = total + gaussian(GRID, strength * sigma * np.sqrt(2 * np.pi), centre, sigma)
     return total
-
-
-def test_fwhm_over_sigma() -> None:
-    """2 sqrt(2 ln 2) = 2.354820 (any table of the normal law)."""
-    assert pytest.approx(2.354820, abs=1e-6) == FWHM_OVER_SIGMA
 
 
 def test_model_is_gaussians_in_wavelength_over_a_continuum_in_the_logarithm() -> None:
