@@ -35,7 +35,6 @@ def test_the_loop_predicts_the_return(tmp_path: Path, program: Path) -> None:
     done = drive_loop(tmp_path / "loop", program)
     assert done.returncode == 0, done.stderr
     found = ENDED.search(done.stdout)
-    assert found is not None
     after, before = map(float, found.groups())
     assert after < 0.15 and after < 0.2 * before
 
@@ -50,7 +49,6 @@ def test_the_loop_that_begins_with_pictures_predicts_the_return(tmp_path: Path, 
     done = drive_loop(tmp_path / "loop", program, "1", str(rig), script="picture_loop.sh")
     assert done.returncode == 0, done.stderr
     found = ENDED.search(done.stdout)
-    assert found is not None
     after, before = map(float, found.groups())
     assert after < 0.1 and after < 0.4 * before
     sent = (tmp_path / "loop/5-located/positions.csv").read_text().splitlines()

@@ -6,17 +6,14 @@ At ten moments, and of all commands that keep blocks: `tests/benchmarks/faults.p
 import random
 import re
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="forks, and mounts disks")
-Load = Callable[[str], ModuleType]
 
 
-def test_a_fit_that_is_killed_goes_on(load_benchmark: Load, tmp_path: Path) -> None:
+def test_a_fit_that_is_killed_goes_on(load_benchmark, tmp_path: Path) -> None:
     faults = load_benchmark("faults")
     case = faults.case_of("fit", tmp_path, 0.4)
     wanted, seconds = faults.whole(case, tmp_path)
@@ -26,7 +23,7 @@ def test_a_fit_that_is_killed_goes_on(load_benchmark: Load, tmp_path: Path) -> N
     assert found.left == []
 
 
-def test_what_a_full_disk_has_is_kept_and_gone_on_with(load_benchmark: Load, tmp_path: Path) -> None:
+def test_what_a_full_disk_has_is_kept_and_gone_on_with(load_benchmark, tmp_path: Path) -> None:
     """A real disk of a megabyte, then the same one read-only, then with room."""
     faults = load_benchmark("faults")
     case = faults.case_of("map", tmp_path, 0.5)

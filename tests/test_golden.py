@@ -7,7 +7,7 @@ photometry in `spectra/vnis` and `spectra/test_photometry.py`, distances of the 
 import math
 from datetime import UTC, datetime, timedelta
 
-import erfa  # type: ignore[import-untyped]
+import erfa
 import numpy as np
 import pytest
 

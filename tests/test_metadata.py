@@ -20,7 +20,6 @@ FOR_DEVELOPERS = {"quick", "test", "docs", "dev"}
 def listed(section: str) -> list[str]:
     """Entries of a list of the recipe."""
     found = re.search(rf"^  {section}:\n((?:    - .+\n)+)", RECIPE, re.MULTILINE)
-    assert found is not None
     return re.findall(r"    - (.+)", found[1])
 
 

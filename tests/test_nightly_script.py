@@ -57,7 +57,6 @@ def attached(mail: email.message.EmailMessage) -> str:
 
 def told(mail: email.message.EmailMessage) -> str:
     body = mail.get_body(("plain",))
-    assert body is not None
     return str(body.get_content())
 
 

@@ -78,10 +78,8 @@ def drawing(make: Callable[[], "Figure"]) -> "Figure":
 
     def noted(self: "Figure", *arguments: Any, **options: Any) -> None:
         frame: FrameType | None = sys._getframe(1)
-        assert frame is not None
         if frame.f_code.co_name == "page":
             frame = frame.f_back
-        assert frame is not None
         MAKERS.add((frame.f_code.co_filename, frame.f_code.co_name))
         plain(self, *arguments, **options)
 
@@ -109,7 +107,7 @@ def shown_texts(figure: "Figure") -> Iterator[tuple[Any, Any]]:
     from matplotlib.text import Annotation, Text
     from matplotlib.transforms import Bbox
 
-    renderer = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]
+    renderer = FigureCanvasAgg(figure).get_renderer()
     ticks: set[Any] = set()
     texts: list[Any] = []
     for axis in figure.findobj(Axis):
@@ -169,7 +167,7 @@ def _axes_faults(figure: "Figure", shown: set[Any]) -> Iterator[str]:
     """Axes with numbers and without a label that names their unit."""
     for axes in figure.axes:
         for axis in (axes.xaxis, axes.yaxis):
-            ticks = axis._update_ticks()  # type: ignore[attr-defined]
+            ticks = axis._update_ticks()
             numbers = [t.get_text() for tick in ticks for t in (tick.label1, tick.label2) if t in shown]
             numbers = [text for text in numbers if re.fullmatch(r"[-−0-9.]+|\$.*10.*\$", text)]
             label = axis.get_label_text()
@@ -222,7 +220,7 @@ def _entries(legend: Any) -> Iterator[tuple[str, str, Any, float]]:
                     light = lightness(one.get_color() if line else one.get_markerfacecolor())
                 elif isinstance(one, Patch):
                     filled = one.get_fill() and one.get_facecolor()[3] > 0
-                    look.append((one.get_hatch(), None if filled else str(one._unscaled_dash_pattern)))  # type: ignore[attr-defined]
+                    look.append((one.get_hatch(), None if filled else str(one._unscaled_dash_pattern)))
                     light = lightness(one.get_facecolor() if filled else one.get_edgecolor())
             yield label.get_text(), kind, tuple(look), light
 

@@ -85,7 +85,7 @@ def test_a_table_has_units() -> None:
     assert table["torque_nm"].unit == units.N * units.m
     assert np.isnan(table["load_n"][1])
     assert list(table["note"]) == ["x", "<b>"]
-    empty = Found(None, "x").to_table()  # type: ignore[arg-type]
+    empty = Found(None, "x").to_table()
     assert empty["load_n"].unit == units.N and np.isnan(empty["load_n"]).all(), "a column without a value, too"
     assert np.isnan(_column("fo_mean", [None, None])).all(), "whatever its name is"
 
@@ -207,7 +207,7 @@ def test_plain_types_of_options_are_kept() -> None:
         with pytest.raises(RequestError, match="; give "):
             request_of(Asked, None, wrong)
     with pytest.raises(RequestError, match="; give "):
-        request_of(Asked, Asked(exact=1), {})  # type: ignore[arg-type]
+        request_of(Asked, Asked(exact=1), {})
 
 
 def test_a_command_takes_the_fields_of_a_request() -> None:
@@ -245,7 +245,7 @@ def test_open_files_and_tables_are_inputs(kind: str) -> None:
 
 def test_what_cannot_be_read_is_refused() -> None:
     with pytest.raises(ParameterError, match="int cannot be read; give a path"):
-        read_input(3)  # type: ignore[arg-type]
+        read_input(3)
 
 
 def test_a_result_records_what_it_was_asked_with() -> None:

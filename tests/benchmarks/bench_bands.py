@@ -44,7 +44,7 @@ def table(folder: Path, kind: str) -> tuple[np.ndarray, np.ndarray]:
 
 def measured(wavelength: np.ndarray, spectra: np.ndarray, name: str) -> Sequence[SpectrumBands | BandFailure]:
     """Bands of spectra whose noise is not stated."""
-    return measure_batch([Spectrum("x", wavelength, values) for values in spectra], continuum_name=name)  # type: ignore[arg-type]
+    return measure_batch([Spectrum("x", wavelength, values) for values in spectra], continuum_name=name)
 
 
 def coverage(

@@ -51,10 +51,10 @@ def compare(strip: Strip, model: MgmModel, contest_every: int) -> None:
     found, found_s = timed(
         lambda: fit_region(strip.wavelength_nm, reflectance, places, model, contest_every=contest_every)
     )
-    above = found.batch.objective - alone.objective  # type: ignore[union-attr]
+    above = found.batch.objective - alone.objective
     count = len(above)
     worst = np.argsort(-above)[:SHOWN]
-    origins = np.bincount(found.origin, minlength=len(ORIGINS)) / count  # type: ignore[union-attr]
+    origins = np.bincount(found.origin, minlength=len(ORIGINS)) / count
     print(
         f"{strip.name:14s} {count / alone_s:7.0f} {count / found_s:7.0f} {100 * (above > HIGHER).mean():8.2f} "
         f"{100 * (above > 1).mean():7.2f} {100 * (above < -HIGHER).mean():8.2f} {100 * (above < -1).mean():7.2f}   "

@@ -40,8 +40,8 @@ def drive(members: int, dt: float) -> Prediction:
     return predict(ROVER, TERRAIN, PLAN, members=members, seed=1, time_step_s=dt)
 
 
-@numba.njit  # type: ignore[untyped-decorator]
-def forces_of(wheels: np.ndarray, tyre: tuple, soil: tuple) -> float:  # type: ignore[type-arg]
+@numba.njit
+def forces_of(wheels: np.ndarray, tyre: tuple, soil: tuple) -> float:
     total = 0.0
     for z, travel, lateral in wheels:
         f_n, f_dp, f_l, m_r = wheel_forces_kernel(z, travel, lateral, tyre, soil, 0)
@@ -80,7 +80,7 @@ def main() -> None:
     threads = numba.get_num_threads()
     for dt in (0.05, 0.1, 0.2):
         error = np.hypot(*(drive(CHECKED, dt).endpoints_m - ends).T)
-        many = seconds(lambda dt=dt: drive(MEMBERS, dt))  # type: ignore[misc]
+        many = seconds(lambda dt=dt: drive(MEMBERS, dt))
         print(
             f"step {dt:g} s: {MEMBERS} drives in {many:.2f} s on {threads} threads, ends off by "
             f"{1e3 * np.median(error):.2f} mm (median), {1e3 * error.max():.2f} mm at most, against 1 ms"

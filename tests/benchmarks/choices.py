@@ -13,7 +13,7 @@ from scipy.special import log_softmax
 
 from lunarsci.io.inputs import read_input
 from lunarsci.spectra.mgm.assemblages import FAMILIES
-from lunarsci.spectra.mgm.selection import CREDIBLE, MOST_TOGETHER, Choice, choose
+from lunarsci.spectra.mgm.selection import CREDIBLE, MOST_TOGETHER, choose
 from lunarsci.spectra.readers.dispatch import read_spectra
 
 COUNTED = 0.05
@@ -33,7 +33,6 @@ def evidence(data: Path, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     suites = rows.index.to_series().str.extract(r"^([A-Za-z]+-[A-Z]+|[A-Za-z]+\d?)", expand=False).replace(TOGETHER)
     values = []
     for choice in choose([spectra[id] for id in rows.index]):
-        assert isinstance(choice, Choice)
         by_name = {one.assemblage: one.ln_evidence for one in choice.candidates}
         values.append([by_name.get(family, -np.inf) for family in FAMILIES])
     return np.array(values), np.array([FAMILIES.index(one) for one in truth]), suites.to_numpy()

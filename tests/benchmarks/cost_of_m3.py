@@ -63,7 +63,7 @@ def write_envi(path: Path, wavelength_nm: np.ndarray, reflectance: np.ndarray) -
     )
 
 
-def processor_s(call, repeats: int = 2):  # type: ignore[no-untyped-def]
+def processor_s(call, repeats: int = 2):
     """Processor seconds of the quicker of some calls, all threads together, and what it gave."""
     times = []
     for _ in range(repeats):

@@ -73,7 +73,7 @@ def _function(name: str) -> Callable[..., Any]:
     found: Any = import_module(f"lunarsci.{module}")
     for part in function.split("."):
         found = getattr(found, part)
-    return found  # type: ignore[no-any-return]
+    return found
 
 
 def of_file(name: str, *more: Any) -> Callable[[Path], Any]:

@@ -151,15 +151,15 @@ def fresh_ruts(terrain: Terrain, spacing_m: float = 0.025) -> Ruts:
     return Ruts(float(terrain.x0_m), float(terrain.y0_m), spacing_m, np.zeros(size))
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def unit_cross(a, b):  # type: ignore[no-untyped-def]
+@compiled(nogil=True)
+def unit_cross(a, b):
     """Unit vector across two others."""
     c = np.cross(a, b)
     return c / math.sqrt(c @ c)
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def ground_below(grid, x, y, soil):  # type: ignore[no-untyped-def]
+@compiled(nogil=True)
+def ground_below(grid, x, y, soil):
     """Height and gradient below a point, and its soil into `soil` (8); NaN off the map."""
     ny, nx = grid.height.shape
     column, row = (x - grid.x0) / grid.spacing, (y - grid.y0) / grid.spacing
@@ -176,8 +176,8 @@ def ground_below(grid, x, y, soil):  # type: ignore[no-untyped-def]
     return surface_in(grid, i, j, a, b)
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def rut_below(ruts, x, y, left, width, across):  # type: ignore[no-untyped-def]
+@compiled(nogil=True)
+def rut_below(ruts, x, y, left, width, across):
     """Mean depth of the rut over a wheel's width. [m]"""
     ny, nx = ruts.depth.shape
     total = 0.0
@@ -193,8 +193,8 @@ def rut_below(ruts, x, y, left, width, across):  # type: ignore[no-untyped-def]
     return total / len(across)
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def press(ruts, marks, width):  # type: ignore[no-untyped-def]
+@compiled(nogil=True)
+def press(ruts, marks, width):
     """Press marks (n, 5) of x, y, leftward unit vector and depth into the ground, across a wheel's width."""
     ny, nx = ruts.depth.shape
     for x, y, left_x, left_y, depth in marks:
@@ -205,8 +205,8 @@ def press(ruts, marks, width):  # type: ignore[no-untyped-def]
                 ruts.depth[i, j] = max(ruts.depth[i, j], depth)
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def push_of(law, sinkage, rut, v_x, v_y, rim, tyre, soil, nodes, weights):  # type: ignore[no-untyped-def]
+@compiled(nogil=True)
+def push_of(law, sinkage, rut, v_x, v_y, rim, tyre, soil, nodes, weights):
     """F_N, F_DP, F_L, M_R, and the moments about the normal and the heading. [N, N m]"""
     own = (soil[0], soil[1], soil[2], soil[3], soil[4], soil[5], soil[6], soil[7])
     if law.exact:
@@ -223,8 +223,8 @@ def push_of(law, sinkage, rut, v_x, v_y, rim, tyre, soil, nodes, weights):  # ty
     return f_n, f_dp, f_l, m_r, -tyre[3] * f_l * math.sin(middle), -tyre[3] * f_l * math.cos(middle)
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def push_wheels(bodies, place, turn, motion, about, rims, grid, ruts, tyre, law, rule, applied, seen, marks):  # type: ignore[no-untyped-def]
+@compiled(nogil=True)
+def push_wheels(bodies, place, turn, motion, about, rims, grid, ruts, tyre, law, rule, applied, seen, marks):
     """The wrench of the soil on every wheel into `applied` (bodies, 6), world axes at the wheel centre.
 
     Its state goes into `seen` (wheels, 10), columns `STATE_COLUMNS`, and what it presses into `marks` (wheels, 5).
@@ -262,8 +262,8 @@ def push_wheels(bodies, place, turn, motion, about, rims, grid, ruts, tyre, law,
         marks[w, 4] = max(total, 0.0)
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def steer(angles, bodies, straight, offset, place, turn):  # type: ignore[no-untyped-def]
+@compiled(nogil=True)
+def steer(angles, bodies, straight, offset, place, turn):
     """Stand every wheel as commanded; that it rolls while it is being steered is left out, as in the twin."""
     for w in range(len(bodies)):
         angle, body = angles[w], bodies[w]

@@ -125,7 +125,7 @@ def depths(folder: Path, lines: np.ndarray, rig: str) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     for line in lines:
         text = ",".join(f"{value:.4f}" for value in line.ravel())
-        rows += track(str(folder / "dem.npz"), line=text, search=0.1).rows()  # type: ignore[arg-type]
+        rows += track(str(folder / "dem.npz"), line=text, search=0.1).rows()
     return [row for row in rows if row["status"] == "ok"]
 
 

@@ -41,7 +41,7 @@ class Ground(NamedTuple):
     triangles: bool
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")
 def slip_of(ahead: float, rim: float) -> float:
     """Slip ratio (Ding et al. 2024, Eq. 8) at a velocity and a rim speed."""
     way = 1.0 if rim >= 0.0 else -1.0
@@ -49,7 +49,7 @@ def slip_of(ahead: float, rim: float) -> float:
     return 1.0 - v / rim if rim >= v else rim / v - 1.0
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")
 def wheel_forces(law: Law, z: float, ahead: float, left: float, rim: float, dug: float) -> Any:
     """Normal, drawbar and lateral force [N], moments about axle, travel and normal [N m].
 
@@ -101,7 +101,7 @@ def wheel_forces(law: Law, z: float, ahead: float, left: float, rim: float, dug:
     return fn, way * fx, fy, way * torque, over, way * steer
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")
 def height_of(ground: Ground, x: float, y: float) -> float:
     """Height of the ground, NaN outside the map."""
     ny, nx = ground.height.shape
@@ -129,7 +129,7 @@ def height_of(ground: Ground, x: float, y: float) -> float:
     return float(total)
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")
 def plane_at(ground: Ground, x: float, y: float, d: float) -> Any:
     """Mean height and slopes along x and y of four points about one."""
     mean, east, north = 0.0, 0.0, 0.0
@@ -140,32 +140,32 @@ def plane_at(ground: Ground, x: float, y: float, d: float) -> Any:
     return mean, east, north
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")
 def pitched(angle: float, v: Any) -> Any:
     """A vector turned about y."""
     return math.cos(angle) * v[0] + math.sin(angle) * v[2], v[1], math.cos(angle) * v[2] - math.sin(angle) * v[0]
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")
 def tilted(q: FloatArray, v: Any) -> Any:
     """A vector of the chassis in the frame that only follows the heading; q[4] is roll, q[5] pitch."""
     rolled = v[0], math.cos(q[4]) * v[1] - math.sin(q[4]) * v[2], math.sin(q[4]) * v[1] + math.cos(q[4]) * v[2]
     return pitched(q[5], rolled)
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")
 def cross(a: Any, b: Any) -> Any:
     """Vector product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")
 def dot(a: Any, b: Any) -> float:
     """Scalar product."""
     return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")
 def place(rover: Any, q: FloatArray, i: int, steer: float, points: FloatArray) -> float:
     """Wheel centre, its axle, its rocker pivot and its bogie pivot in the heading's frame, (4, 3); the arm's angle.
 
@@ -189,7 +189,7 @@ def place(rover: Any, q: FloatArray, i: int, steer: float, points: FloatArray) -
     return float(angle + q[5])
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")
 def frame(law: Law, ground: Ground, pose: Any, c: Any, axle: Any) -> Any:
     """World x and y of a wheel centre, sinkage, slopes ahead and across, travel direction, left direction, normal.
 
@@ -212,7 +212,7 @@ def frame(law: Law, ground: Ground, pose: Any, c: Any, axle: Any) -> Any:
     return x, y, law.radius - (z0 + c[2] - height) * normal[2], along, across, ex, cross(normal, ex), normal
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")
 def push(scene: Any, command: Any, pose: Any, q: FloatArray, i: int, points: FloatArray, state: FloatArray) -> Any:
     """Force [N] and moment [N m] on wheel i by the ground; its state, and its points as `place` gives them.
 
@@ -249,7 +249,7 @@ def push(scene: Any, command: Any, pose: Any, q: FloatArray, i: int, points: Flo
     return (fx, fy, fn), moment
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")
 def balance(scene: Any, command: Any, now: FloatArray, q: FloatArray, rest: FloatArray, wheels: FloatArray) -> None:
     """Sums of forces and moments that vanish in equilibrium, over the weight; states of the wheels by STATE_COLUMNS.
 

@@ -46,7 +46,7 @@ def rock_rows(data: Path) -> list[list[str]]:
         good = {name: fit for name, fit in fits.items() if isinstance(fit, MgmFit) and name in SPREAD_CONTINUA}
         own = good[DEFAULT_CONTINUUM]
         ratio = own.nbsr["um2"]
-        ratios = [fit.nbsr["um2"].opx for fit in good.values() if fit.nbsr["um2"]]  # type: ignore[union-attr]
+        ratios = [fit.nbsr["um2"].opx for fit in good.values() if fit.nbsr["um2"]]
         rows.append(
             [
                 spectrum.id,

@@ -585,7 +585,7 @@ def make(folder: Path, kind: str, seed: int, stations: int = 1, material: str = 
     missing = [n for n in range(stations) if not (target / f"station{n}" / "pose.toml").exists()]
     ground = Ground(seed, MATERIALS[material]) if missing else None
     for number in missing:
-        station(target / f"station{number}", ground, told, delta, seed, number)  # type: ignore[arg-type]
+        station(target / f"station{number}", ground, told, delta, seed, number)
     (target / "rig.toml").write_text(rig_toml(told))
     return target
 

@@ -61,11 +61,11 @@ def swapped_angles(kinds: str) -> Spoiler:
         for kind in kinds.split():
             text = files[key(files, kind, True)].decode()
             sun, view = (
-                float(re.search(rf"<{where}>.*?<incidence_angle[^>]*>([^<]*)", text, re.DOTALL)[1])  # type: ignore[index]
+                float(re.search(rf"<{where}>.*?<incidence_angle[^>]*>([^<]*)", text, re.DOTALL)[1])
                 for where in ("solar", "center_point")
             )
-            angle(kind, "solar", "incidence_angle", lambda _, new=view: new)(files)  # type: ignore[misc]
-            angle(kind, "center_point", "incidence_angle", lambda _, new=sun: new)(files)  # type: ignore[misc]
+            angle(kind, "solar", "incidence_angle", lambda _, new=view: new)(files)
+            angle(kind, "center_point", "incidence_angle", lambda _, new=sun: new)(files)
 
     return spoil
 
@@ -309,8 +309,8 @@ def plainly(files: Files) -> FloatArray:
 
 def _plain(files: Files, kind: str) -> FloatArray:
     label = files[key(files, kind, True)].decode()
-    incidence = float(re.search(r"<solar>.*?<incidence_angle[^>]*>([^<]*)", label, re.DOTALL)[1])  # type: ignore[index]
-    start = re.search(r"<start_date_time>([^<]*)", label)[1]  # type: ignore[index]
+    incidence = float(re.search(r"<solar>.*?<incidence_angle[^>]*>([^<]*)", label, re.DOTALL)[1])
+    start = re.search(r"<start_date_time>([^<]*)", label)[1]
     if kind == "VD":
         values = np.frombuffer(files[key(files, kind)], "<f4").reshape(CUBE_SHAPE)
         nm, seen = VNIR_NM, values[:, footprint_mask()].mean(axis=1, dtype=float)

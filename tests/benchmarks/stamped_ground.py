@@ -74,7 +74,7 @@ class Ground:
 
 
 def _nodes(size: tuple[float, float]) -> tuple[Any, Any]:
-    return np.meshgrid(*(np.arange(round(side / FINE)) * FINE for side in size))  # type: ignore[return-value]
+    return np.meshgrid(*(np.arange(round(side / FINE)) * FINE for side in size))
 
 
 def with_track(

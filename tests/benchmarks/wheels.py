@@ -171,7 +171,7 @@ def errors(runs: Runs, name: str, straight: bool, locked: bool = False) -> tuple
         point = fitted(chosen.part(chosen.repetition == repetition), MODELS[name])
         rest = chosen.part(chosen.repetition != repetition)
         squares.append((predicted(point, rest, MODELS[name]) - rest.forces) ** 2)
-    return tuple(map(float, np.sqrt(np.mean(np.concatenate(squares), axis=0))))  # type: ignore[return-value]
+    return tuple(map(float, np.sqrt(np.mean(np.concatenate(squares), axis=0))))
 
 
 def states_of(runs: Runs) -> WheelStates:

@@ -3,13 +3,11 @@
 import csv
 import io
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-Run = Callable[..., "object"]
 GRID = np.arange(450.0, 2451.0, 5.0)
 
 
@@ -28,7 +26,7 @@ def rocks(tmp_path: Path) -> Path:
     return path
 
 
-def test_chemistry_is_beside_the_bands(run: Run, rocks: Path) -> None:
+def test_chemistry_is_beside_the_bands(run, rocks: Path) -> None:
     done = run("spectra", "bands", rocks, "--continuum", "hull", "--json")
     pyroxene, olivine = json.loads(done.out)["result"]["spectra"]
     assert pyroxene["bc1000_nm"] == pytest.approx(926, abs=3)
@@ -43,7 +41,7 @@ def test_chemistry_is_beside_the_bands(run: Run, rocks: Path) -> None:
     assert any("Gaffey" in source for source in provenance["sources"])
 
 
-def test_fields_tables_and_csv_have_it(run: Run, rocks: Path) -> None:
+def test_fields_tables_and_csv_have_it(run, rocks: Path) -> None:
     value = run("spectra", "bands", rocks, "--continuum", "hull", "--field", "spectra.0.chemistry.fs_gaffey.value").out
     rows = list(csv.DictReader(io.StringIO(run("spectra", "bands", rocks, "--continuum", "hull", "--csv").out)))
     assert float(rows[0]["fs_gaffey"]) == float(value)
@@ -54,7 +52,7 @@ def test_fields_tables_and_csv_have_it(run: Run, rocks: Path) -> None:
     assert "Fo [mol %] 1 µm centre" in table
 
 
-def test_one_spectrum_lists_the_regressions_that_apply_and_json_why_others_do_not(run: Run, rock: Path) -> None:
+def test_one_spectrum_lists_the_regressions_that_apply_and_json_why_others_do_not(run, rock: Path) -> None:
     table = run("spectra", "bands", rock).out
     [record] = json.loads(run("spectra", "bands", rock, "--json").out)["result"]["spectra"]
     found = [item for item in record["chemistry"].values() if item]
@@ -64,7 +62,7 @@ def test_one_spectrum_lists_the_regressions_that_apply_and_json_why_others_do_no
     assert sum(" if " in line for line in table.splitlines()) >= len(found) - len(refused) > 3
 
 
-def test_the_plane_is_a_picture_of_its_own(run: Run, rocks: Path, tmp_path: Path) -> None:
+def test_the_plane_is_a_picture_of_its_own(run, rocks: Path, tmp_path: Path) -> None:
     first, second = tmp_path / "a.svg", tmp_path / "b.svg"
     done = run("spectra", "bands", rocks, "--plane", first, "--plot", tmp_path / "p.pdf")
     assert (done.code, f"written: {first}" in done.err) == (0, True)
@@ -73,7 +71,7 @@ def test_the_plane_is_a_picture_of_its_own(run: Run, rocks: Path, tmp_path: Path
     assert "pyroxene" in first.read_text()
 
 
-def test_the_plane_is_refused_like_every_picture(run: Run, rocks: Path, tmp_path: Path) -> None:
+def test_the_plane_is_refused_like_every_picture(run, rocks: Path, tmp_path: Path) -> None:
     assert run("spectra", "bands", rocks, "--plane", tmp_path / "x.bmp").code == 2
     twice = tmp_path / "x.png"
     assert run("spectra", "bands", rocks, "--plane", twice, "--plot", twice).code == 2
@@ -84,7 +82,7 @@ def test_the_plane_is_refused_like_every_picture(run: Run, rocks: Path, tmp_path
     assert twice.read_text() == "mine"
 
 
-def test_channels_that_show_neither_band_are_a_failure_as_of_a_fit(run: Run, tmp_path: Path) -> None:
+def test_channels_that_show_neither_band_are_a_failure_as_of_a_fit(run, tmp_path: Path) -> None:
     short = tmp_path / "short.csv"
     short.write_text("wavelength_nm,a\n" + "\n".join(f"{nm},0.{20 + nm % 7}" for nm in range(500, 850, 5)) + "\n")
     for command in ("bands", "fit"):
@@ -93,6 +91,6 @@ def test_channels_that_show_neither_band_are_a_failure_as_of_a_fit(run: Run, tmp
         assert done.err[-1].startswith(f"error: {short}: a: no result: the channels do not reach over 8")
 
 
-def test_notes_of_a_batch_name_their_spectra(run: Run, rocks: Path) -> None:
+def test_notes_of_a_batch_name_their_spectra(run, rocks: Path) -> None:
     said = run("spectra", "bands", rocks).out
     assert "(1 of 2 spectra: olivine)" in said

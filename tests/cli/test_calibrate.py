@@ -20,7 +20,6 @@ from lunarsci.spectra.vnis.simulation.instrument import Instrument, simulate
 from lunarsci.spectra.vnis.simulation.scene import Scene, SceneRock
 from lunarsci.spectra.vnis.simulation.template import product_files
 
-Run = Callable[..., Any]
 Files = dict[str, bytes]
 COMMAND = ("spectra", "calibrate")
 GRID = [450 + 5.0 * k for k in range(390)]
@@ -59,7 +58,7 @@ def result(done: Any) -> list[dict[str, Any]]:
     return spectra
 
 
-def reflectance(run: Run, *arguments: object) -> np.ndarray:
+def reflectance(run, *arguments: object) -> np.ndarray:
     done = run(*COMMAND, *arguments, "--json")
     assert done.code == 0, done.err
     return np.array(result(done)[0]["reflectance"])
@@ -68,7 +67,7 @@ def reflectance(run: Run, *arguments: object) -> np.ndarray:
 # -- Forms of output --------------------------------------------------------------------------------------------------
 
 
-def test_the_table_says_what_was_done(run: Run, label: Path) -> None:
+def test_the_table_says_what_was_done(run, label: Path) -> None:
     done = run(*COMMAND, label)
     assert (done.code, done.err) == (0, [])
     header, rule, row, *notes = done.out.splitlines()
@@ -79,7 +78,7 @@ def test_the_table_says_what_was_done(run: Run, label: Path) -> None:
     assert any(note.startswith("SWIR radiance divided by") for note in notes)
 
 
-def test_json_has_every_number_with_its_unit(run: Run, label: Path) -> None:
+def test_json_has_every_number_with_its_unit(run, label: Path) -> None:
     done = run(*COMMAND, label, "--json")
     document = json.loads(done.out)
     assert document["schema"] == "lunarsci/spectra-calibrate/1"
@@ -101,7 +100,7 @@ def test_json_has_every_number_with_its_unit(run: Run, label: Path) -> None:
     assert spectrum["swir"]["sun_distance_au"] == pytest.approx(1.01482, abs=1e-5)
 
 
-def test_csv_has_one_row_for_each_channel(run: Run, label: Path) -> None:
+def test_csv_has_one_row_for_each_channel(run, label: Path) -> None:
     rows = list(csv.DictReader(io.StringIO(run(*COMMAND, label, "--csv").out)))
     assert [float(row["wavelength_nm"]) for row in rows] == GRID
     assert {row["id"] for row in rows} == {"SYNTHETIC-CE4-0001"}
@@ -112,7 +111,7 @@ def test_csv_has_one_row_for_each_channel(run: Run, label: Path) -> None:
         assert [float(row[f"systematic_{name}"]) for row in rows] == mode
 
 
-def test_a_masked_channel_is_null_and_an_empty_cell(run: Run, tmp_path: Path, one: Files) -> None:
+def test_a_masked_channel_is_null_and_an_empty_cell(run, tmp_path: Path, one: Files) -> None:
     table = named(one, label=False)
     rows = one[table].splitlines(keepends=True)
     rows[70] = rows[70].replace(b"0x00", b"0x01")
@@ -128,7 +127,7 @@ def test_a_masked_channel_is_null_and_an_empty_cell(run: Run, tmp_path: Path, on
 
 
 @pytest.mark.parametrize("suffix", ["ecsv", "fits"])
-def test_files_hold_the_spectra_and_the_provenance(run: Run, label: Path, tmp_path: Path, suffix: str) -> None:
+def test_files_hold_the_spectra_and_the_provenance(run, label: Path, tmp_path: Path, suffix: str) -> None:
     target = tmp_path / f"out.{suffix}"
     done = run(*COMMAND, label, "-o", target, "--no-time")
     assert (done.code, done.out, done.err[0]) == (0, "", f"written: {target}")
@@ -141,7 +140,7 @@ def test_files_hold_the_spectra_and_the_provenance(run: Run, label: Path, tmp_pa
     assert hashlib.sha256(label.read_bytes()).hexdigest().encode() in first
 
 
-def test_a_page_for_each_observation(run: Run, tmp_path: Path, one: Files, two: Files) -> None:
+def test_a_page_for_each_observation(run, tmp_path: Path, one: Files, two: Files) -> None:
     folder, target = write(tmp_path / "both", one | two), tmp_path / "both.pdf"
     assert run(*COMMAND, folder, "--plot", target, "-q").code == 0
     assert len(re.findall(rb"/Type */Page\b", target.read_bytes())) == 2
@@ -150,7 +149,7 @@ def test_a_page_for_each_observation(run: Run, tmp_path: Path, one: Files, two: 
 # -- Inputs -----------------------------------------------------------------------------------------------------------
 
 
-def test_any_part_and_the_folder_give_the_same(run: Run, tmp_path: Path, one: Files) -> None:
+def test_any_part_and_the_folder_give_the_same(run, tmp_path: Path, one: Files) -> None:
     folder = write(tmp_path / "one", one)
     wanted = run(*COMMAND, folder / named(one), "--field", "spectra.0.reflectance").out
     for path in (folder, folder / named(one, "VD"), folder / named(one, "VD", label=False), f"{folder}/*.2BL"):
@@ -159,7 +158,7 @@ def test_any_part_and_the_folder_give_the_same(run: Run, tmp_path: Path, one: Fi
     assert len(result(run(*COMMAND, folder, folder / named(one), folder / named(one, "VD"), "--json"))) == 1
 
 
-def test_a_folder_is_all_its_observations(run: Run, tmp_path: Path, one: Files, two: Files) -> None:
+def test_a_folder_is_all_its_observations(run, tmp_path: Path, one: Files, two: Files) -> None:
     folder = write(tmp_path / "both", one | two | {"readme.txt": b"nothing"})
     done = run(*COMMAND, folder, "--json")
     assert (done.code, done.err) == (0, [])
@@ -175,14 +174,14 @@ def broken(content: Files) -> Files:
     return content | {cube: content[cube][: 13 * 2**20]}
 
 
-def test_a_note_names_the_observations_that_it_is_of(run: Run, tmp_path: Path, one: Files, two: Files) -> None:
+def test_a_note_names_the_observations_that_it_is_of(run, tmp_path: Path, one: Files, two: Files) -> None:
     """The second observation alone comes with labels of version 1."""
     done = run(*COMMAND, write(tmp_path / "both", one | early(two)))
     [note] = [line for line in done.out.splitlines() if "version 1" in line]
     assert note.endswith("(1 of 2 observations: SYNTHETIC-CE4-0002)")
 
 
-def test_a_broken_one_is_one_line_and_the_others_are_printed(run: Run, tmp_path: Path, one: Files, two: Files) -> None:
+def test_a_broken_one_is_one_line_and_the_others_are_printed(run, tmp_path: Path, one: Files, two: Files) -> None:
     folder = write(tmp_path / "both", broken(one) | two)
     missing = tmp_path / "CE4_GRAS_VNIS-SD_SCI_N_20200716031001_20200716100000_0136_B.2BL"
     done = run(*COMMAND, missing, folder, tmp_path / "nothing*.2BL", "--json")
@@ -197,7 +196,7 @@ def test_a_broken_one_is_one_line_and_the_others_are_printed(run: Run, tmp_path:
     assert b"SYNTHETIC-CE4-0002" in target.read_bytes()
 
 
-def test_all_broken_is_one_line_and_nothing_else(run: Run, tmp_path: Path, one: Files, two: Files) -> None:
+def test_all_broken_is_one_line_and_nothing_else(run, tmp_path: Path, one: Files, two: Files) -> None:
     folder = write(tmp_path / "both", broken(one) | broken(two))
     target, picture = tmp_path / "o.ecsv", tmp_path / "p.png"
     done = run(*COMMAND, folder, "-o", target, "--plot", picture)
@@ -208,14 +207,14 @@ def test_all_broken_is_one_line_and_nothing_else(run: Run, tmp_path: Path, one: 
 
 
 @pytest.mark.parametrize("content", [{}, {"readme.txt": b"nothing"}])
-def test_a_folder_without_products(run: Run, tmp_path: Path, content: Files) -> None:
+def test_a_folder_without_products(run, tmp_path: Path, content: Files) -> None:
     done = run(*COMMAND, write(tmp_path / "empty", content))
     assert (done.code, done.out, len(done.err)) == (4, "", 1)
     assert "folder holds no files" in done.err[0] or "no VNIS product in it" in done.err[0]
 
 
 @pytest.mark.parametrize("argument", ["-", "rock.csv", "missing.2BL", "nothing*.2BL"])
-def test_what_is_no_product_is_refused(run: Run, tmp_path: Path, argument: str) -> None:
+def test_what_is_no_product_is_refused(run, tmp_path: Path, argument: str) -> None:
     (tmp_path / "rock.csv").write_text("wavelength_nm,r\n450,0.1\n")
     done = run(*COMMAND, argument if argument == "-" else tmp_path / argument)
     assert (done.code, done.out, len(done.err)) == (4 if "*" in argument else 1, "", 1)
@@ -229,7 +228,7 @@ def test_what_is_no_product_is_refused(run: Run, tmp_path: Path, argument: str) 
 
 @pytest.mark.parametrize(("command", "suffix"), [("bands", "ecsv"), ("fit", "fits")])
 def test_a_label_gives_the_numbers_of_its_calibrated_file(
-    run: Run, label: Path, tmp_path: Path, command: str, suffix: str
+    run, label: Path, tmp_path: Path, command: str, suffix: str
 ) -> None:
     target = tmp_path / f"out.{suffix}"
     assert run(*COMMAND, label, "-o", target).code == 0
@@ -244,7 +243,7 @@ def test_a_label_gives_the_numbers_of_its_calibrated_file(
     assert first["id"] == "SYNTHETIC-CE4-0001"
 
 
-def test_the_provenance_of_bands_names_all_parts(run: Run, label: Path, one: Files) -> None:
+def test_the_provenance_of_bands_names_all_parts(run, label: Path, one: Files) -> None:
     used = json.loads(run("spectra", "bands", label, "--json").out)["provenance"]["inputs"]
     assert {item["path"] for item in used} == {str(label.parent / n) for n in one if not n.endswith(".json")}
 
@@ -253,7 +252,7 @@ def test_the_provenance_of_bands_names_all_parts(run: Run, label: Path, one: Fil
 
 
 @pytest.mark.parametrize("disk", ["none", "akimov", "mcewen", "lommel-seeliger"])
-def test_photometry_is_chosen_by_name(run: Run, label: Path, disk: str) -> None:
+def test_photometry_is_chosen_by_name(run, label: Path, disk: str) -> None:
     done = run(*COMMAND, label, "--photometry", disk, "--phase", "sp-high", "--json")
     [spectrum] = result(done)
     assert spectrum["photometry"]["disk"] == disk
@@ -264,7 +263,7 @@ def test_photometry_is_chosen_by_name(run: Run, label: Path, disk: str) -> None:
     assert {"vnis_fwhm.csv", "vnis_noise.csv", "solar_e490.csv", "solar_g173.csv"} <= tables
 
 
-def test_a_phase_function_of_ones_own(run: Run, label: Path, tmp_path: Path) -> None:
+def test_a_phase_function_of_ones_own(run, label: Path, tmp_path: Path) -> None:
     """Lommel-Seeliger by hand: (cos 64.4454 + cos 45.557) / (cos 30 + 1), times f(30) = 2 over f = 1 beyond 40 deg."""
     table = tmp_path / "phase.csv"
     table.write_text("phase_deg,f\n0,4\n30,2\n40,1\n170,1\n")
@@ -277,7 +276,7 @@ def test_a_phase_function_of_ones_own(run: Run, label: Path, tmp_path: Path) -> 
     assert inputs[str(table)] == hashlib.sha256(table.read_bytes()).hexdigest()
 
 
-def test_a_sun_of_ones_own(run: Run, label: Path, tmp_path: Path) -> None:
+def test_a_sun_of_ones_own(run, label: Path, tmp_path: Path) -> None:
     """2 % more light makes the ground 2 % darker."""
     header, *rows = (files("lunarsci.spectra_data") / "solar_e490.csv").read_text().splitlines()
     cells = [row.split(",") for row in rows]
@@ -304,7 +303,7 @@ def factors(path: Path, swir: str = "1.1") -> Path:
     return path
 
 
-def test_channel_factors(run: Run, tmp_path: Path, two: Files, label: Path) -> None:
+def test_channel_factors(run, tmp_path: Path, two: Files, label: Path) -> None:
     """SWIR sets the level: factors of 1.1 lift everything by 10 %."""
     old = write(tmp_path / "old", early(two)) / named(two)
     without = run(*COMMAND, old, "--json")
@@ -336,9 +335,7 @@ def test_channel_factors(run: Run, tmp_path: Path, two: Files, label: Path) -> N
         ("--calibration", ""),
     ],
 )
-def test_bad_files_of_ones_own_are_one_line(
-    run: Run, label: Path, tmp_path: Path, option: str, content: str | None
-) -> None:
+def test_bad_files_of_ones_own_are_one_line(run, label: Path, tmp_path: Path, option: str, content: str | None) -> None:
     table = tmp_path / "own.csv"
     if content is not None:
         table.write_text(content)
@@ -351,7 +348,7 @@ def test_bad_files_of_ones_own_are_one_line(
     "arguments",
     [["--photometry", "hapke"], ["--vnir-steps", "both"], ["--shadow", "dark"], ["--json", "--csv"]],
 )
-def test_wrong_usage(run: Run, label: Path, arguments: list[str]) -> None:
+def test_wrong_usage(run, label: Path, arguments: list[str]) -> None:
     done = run(*COMMAND, label, *arguments)
     assert (done.code, done.out, len(done.err)) == (2, "", 1)
 
@@ -413,7 +410,7 @@ def test_many_observations_run_through_with_a_bar(many: Path, tmp_path: Path, dr
     assert ids == {f"SYNTHETIC-CE4-{number:04d}" for number in range(1, MANY + 1) if number != 7}
 
 
-def test_stdin_beside_a_label_does_not_stop_it(run: Run, label: Path) -> None:
+def test_stdin_beside_a_label_does_not_stop_it(run, label: Path) -> None:
     done = run(*COMMAND, "-", label, "--json")
     assert (done.code, len(done.err), len(result(done))) == (1, 2, 1)
     assert done.err[1].startswith("1 spectrum with a result, 1 input without: ")

@@ -23,7 +23,6 @@ from lunarsci.errors import Failure
 from lunarsci.parallel.blocks import SavedBlocks
 from lunarsci.result import Result
 
-Run = Callable[..., "object"]
 NUMBERS = re.compile(r"(?<![\w\"])-?\d[\d.e+-]*")
 COMMANDS = {
     "bands": ("spectra", "bands"),
@@ -53,7 +52,7 @@ every_command = pytest.mark.parametrize("command", list(COMMANDS), indirect=True
 
 
 @every_command
-def test_table_json_and_csv_are_the_only_thing_on_stdout(run: Run, command: list[str]) -> None:
+def test_table_json_and_csv_are_the_only_thing_on_stdout(run, command: list[str]) -> None:
     table = run(*command)
     assert table.code == 0
     assert "─" in table.out
@@ -67,7 +66,7 @@ def test_table_json_and_csv_are_the_only_thing_on_stdout(run: Run, command: list
 
 
 @every_command
-def test_json_is_sorted_and_byte_identical_without_time(run: Run, command: list[str]) -> None:
+def test_json_is_sorted_and_byte_identical_without_time(run, command: list[str]) -> None:
     first, second = (run(*command, "--json", "--no-time").out for _ in range(2))
     assert first == second
     layout = json.dumps(json.loads(first), sort_keys=True, indent=2, ensure_ascii=False) + "\n"
@@ -76,7 +75,7 @@ def test_json_is_sorted_and_byte_identical_without_time(run: Run, command: list[
 
 
 @every_command
-def test_provenance_says_what_went_in(run: Run, command: list[str]) -> None:
+def test_provenance_says_what_went_in(run, command: list[str]) -> None:
     provenance = json.loads(run(*command, "--json").out)["provenance"]
     assert provenance["command"] == " ".join(["lunarsci", *command[:2]])
     assert {"version", "options", "inputs", "tables", "sources", "seed", "versions", "warnings"} <= provenance.keys()
@@ -85,14 +84,14 @@ def test_provenance_says_what_went_in(run: Run, command: list[str]) -> None:
         assert len(used["sha256"]) == 64
 
 
-def test_input_hashes_are_those_of_the_file(run: Run, rock: Path) -> None:
+def test_input_hashes_are_those_of_the_file(run, rock: Path) -> None:
     import hashlib
 
     [used] = json.loads(run("spectra", "bands", rock, "--json").out)["provenance"]["inputs"]
     assert used == {"path": str(rock), "sha256": hashlib.sha256(rock.read_bytes()).hexdigest()}
 
 
-def test_a_soil_of_the_user_is_hashed_too(run: Run, tmp_path: Path) -> None:
+def test_a_soil_of_the_user_is_hashed_too(run, tmp_path: Path) -> None:
     import hashlib
     from importlib.resources import files
 
@@ -107,7 +106,7 @@ def test_a_soil_of_the_user_is_hashed_too(run: Run, tmp_path: Path) -> None:
 
 
 @every_command
-def test_output_goes_to_a_file_and_never_over_one(run: Run, command: list[str], tmp_path: Path) -> None:
+def test_output_goes_to_a_file_and_never_over_one(run, command: list[str], tmp_path: Path) -> None:
     target = tmp_path / "result.json"
     done = run(*command, "-o", target)
     assert (done.code, done.out) == (0, "")
@@ -133,7 +132,7 @@ def test_output_goes_to_a_file_and_never_over_one(run: Run, command: list[str], 
     [("bands", ".png"), ("bands", ".pdf"), *((name, ".svg") for name in COMMANDS)],
     indirect=["command"],
 )
-def test_pictures_are_written_and_repeatable(run: Run, command: list[str], suffix: str, tmp_path: Path) -> None:
+def test_pictures_are_written_and_repeatable(run, command: list[str], suffix: str, tmp_path: Path) -> None:
     magic = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}
     first, second = tmp_path / f"a{suffix}", tmp_path / f"b{suffix}"
     assert run(*command, "--plot", first, "-q").code == 0
@@ -142,7 +141,7 @@ def test_pictures_are_written_and_repeatable(run: Run, command: list[str], suffi
     assert first.read_bytes() == second.read_bytes()
 
 
-def test_field_prints_one_bare_value(run: Run, rock: Path) -> None:
+def test_field_prints_one_bare_value(run, rock: Path) -> None:
     assert float(run("spectra", "bands", rock, "--field", "spectra.0.bc1000_nm").out) == pytest.approx(980, abs=15)
     assert run("spectra", "bands", rock, "--field", "result.spectra.0.id").out == "synthetic_rock\n"
     assert run("spectra", "fit", rock, "--field", "spectra.0.converged").out == "true\n"
@@ -158,7 +157,7 @@ def test_stdin_is_an_input(rock: Path, program: Path) -> None:
     assert 960 < float(done.stdout) < 1000
 
 
-def test_config_sets_the_defaults_and_the_command_line_wins(run: Run, rock: Path, tmp_path: Path) -> None:
+def test_config_sets_the_defaults_and_the_command_line_wins(run, rock: Path, tmp_path: Path) -> None:
     config = tmp_path / "run.toml"
     config.write_text('continuum = "hull"\nsmooth = 21\njson = true\n')
     options = json.loads(run("spectra", "bands", rock, "--config", config).out)["provenance"]["options"]
@@ -170,7 +169,7 @@ def test_config_sets_the_defaults_and_the_command_line_wins(run: Run, rock: Path
 @pytest.mark.parametrize(
     ("text", "message"), [("smoth = 3\n", "smooth"), ("= 1", "TOML"), ("smooth = 'x'\n", "smooth")]
 )
-def test_a_bad_config_is_a_usage_error(run: Run, rock: Path, tmp_path: Path, text: str, message: str) -> None:
+def test_a_bad_config_is_a_usage_error(run, rock: Path, tmp_path: Path, text: str, message: str) -> None:
     config = tmp_path / "run.toml"
     config.write_text(text)
     wrong = run("spectra", "bands", rock, "--config", config)
@@ -196,7 +195,7 @@ def test_a_bad_config_is_a_usage_error(run: Run, rock: Path, tmp_path: Path, tex
         ["--nonsense"],
     ],
 )
-def test_wrong_usage_is_one_line_and_exit_2(run: Run, arguments: list[str]) -> None:
+def test_wrong_usage_is_one_line_and_exit_2(run, arguments: list[str]) -> None:
     wrong = run(*arguments)
     assert (wrong.code, wrong.out, len(wrong.err)) == (2, "", 1), wrong
     assert wrong.err[0].startswith("error: ")
@@ -217,7 +216,7 @@ def test_no_help_has_a_unit_in_brackets() -> None:
     assert [text for text in texts if "[" in text] == []
 
 
-def test_version(run: Run) -> None:
+def test_version(run) -> None:
     from importlib.metadata import version
 
     assert run("--version").out.strip() == version("lunarsci")
@@ -251,7 +250,7 @@ def bad_spectra(tmp_path: Path) -> dict[str, Path]:
 )
 @pytest.mark.parametrize("command", [("spectra", "bands"), ("spectra", "fit")])
 def test_a_bad_spectrum_is_one_line_exit_1_and_nothing_written(
-    run: Run, bad_spectra: dict[str, Path], name: str, command: tuple[str, str], tmp_path: Path
+    run, bad_spectra: dict[str, Path], name: str, command: tuple[str, str], tmp_path: Path
 ) -> None:
     target, picture = tmp_path / "out.json", tmp_path / "out.png"
     failed = run(*command, bad_spectra[name], "-o", target, "--plot", picture, "-q")
@@ -270,7 +269,7 @@ STATES = "sinkage_m,slip_ratio,normal_force_n,drawbar_pull_n\n"
     ids=["missing", "empty", "binary", "nan", "wrong column", "negative load"],
 )
 def test_a_bad_state_file_is_one_line_exit_1_and_nothing_written(
-    run: Run, tmp_path: Path, content: str | bytes | None
+    run, tmp_path: Path, content: str | bytes | None
 ) -> None:
     file, target = tmp_path / "bad.csv", tmp_path / "out.json"
     if content is not None:
@@ -282,7 +281,7 @@ def test_a_bad_state_file_is_one_line_exit_1_and_nothing_written(
 
 @pytest.mark.parametrize("target", ["nowhere/out.json", "file.txt/out.json"])
 def test_an_impossible_output_folder_is_said_before_anything_is_computed(
-    run: Run, rock: Path, tmp_path: Path, target: str
+    run, rock: Path, tmp_path: Path, target: str
 ) -> None:
     (tmp_path / "file.txt").write_text("in the way")
     failed = run("spectra", "fit", rock, "-o", tmp_path / target)
@@ -290,7 +289,7 @@ def test_an_impossible_output_folder_is_said_before_anything_is_computed(
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_a_folder_without_write_permission(run: Run, rock: Path, tmp_path: Path) -> None:
+def test_a_folder_without_write_permission(run, rock: Path, tmp_path: Path) -> None:
     locked = tmp_path / "locked"
     locked.mkdir(mode=0o555)
     failed = run("spectra", "bands", rock, "-o", locked / "out.json")
@@ -307,9 +306,7 @@ def test_a_full_disk_behind_stdout_is_one_line(rock: Path, program: Path) -> Non
     assert b"No space left" in done.stderr
 
 
-def test_a_full_disk_leaves_no_partial_file(
-    run: Run, rock: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_leaves_no_partial_file(run, rock: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(_: int) -> None:
         raise OSError(28, "No space left on device")
 
@@ -320,7 +317,7 @@ def test_a_full_disk_leaves_no_partial_file(
     assert {path.name for path in tmp_path.iterdir()} == {"rock.csv"}
 
 
-def test_a_batch_goes_on_past_bad_inputs_and_exits_1(run: Run, rock: Path, bad_spectra: dict[str, Path]) -> None:
+def test_a_batch_goes_on_past_bad_inputs_and_exits_1(run, rock: Path, bad_spectra: dict[str, Path]) -> None:
     done = run("spectra", "bands", bad_spectra["empty.csv"], rock, bad_spectra["missing.csv"], "--json")
     assert done.code == 1
     assert [s["id"] for s in json.loads(done.out)["result"]["spectra"]] == ["synthetic_rock"]
@@ -332,7 +329,7 @@ def test_a_batch_goes_on_past_bad_inputs_and_exits_1(run: Run, rock: Path, bad_s
     assert [why.split(": ")[0] for why in json.loads(listed.out)] == [empty, missing]
 
 
-def test_reasons_name_options_as_they_are_typed(run: Run, rock: Path, tmp_path: Path) -> None:
+def test_reasons_name_options_as_they_are_typed(run, rock: Path, tmp_path: Path) -> None:
     percent, kept = tmp_path / "percent.csv", tmp_path / "failed"
     percent.write_text("wavelength_nm,R (%)\n" + "".join(f"{400 + 10 * k},{0.20 + 0.001 * k}\n" for k in range(90)))
     said = "give --reflectance-unit fraction or percent"
@@ -342,7 +339,7 @@ def test_reasons_name_options_as_they_are_typed(run: Run, rock: Path, tmp_path: 
     assert said in kept.read_text() and said in json.loads(done.out)["provenance"]["failures"][0]
 
 
-def test_read_as_names_options_as_they_are_typed(run: Run, tmp_path: Path) -> None:
+def test_read_as_names_options_as_they_are_typed(run, tmp_path: Path) -> None:
     percent = tmp_path / "percent.csv"
     percent.write_text("wavelength_nm,Reflectance\n" + "".join(f"{400 + 10 * k},{20 + 0.1 * k}\n" for k in range(90)))
     done = run("spectra", "bands", percent, "--json")
@@ -356,7 +353,7 @@ EMPTY_TAKEN = ("bands", "indices", "fit", "unmix", "calibrate", "match")
 
 
 @pytest.mark.parametrize("command", EMPTY_TAKEN)
-def test_an_inbox_without_files_has_its_own_exit_code(run: Run, rock: Path, tmp_path: Path, command: str) -> None:
+def test_an_inbox_without_files_has_its_own_exit_code(run, rock: Path, tmp_path: Path, command: str) -> None:
     inbox, kept = tmp_path / "inbox", tmp_path / "failed"
     inbox.mkdir()
     pattern = tmp_path / "inbox" / "*.csv"
@@ -372,7 +369,7 @@ def test_an_inbox_without_files_has_its_own_exit_code(run: Run, rock: Path, tmp_
         assert run("spectra", command, inbox).code == 1
 
 
-def test_a_batch_lists_what_failed_in_a_file(run: Run, rock: Path, bad_spectra: dict[str, Path]) -> None:
+def test_a_batch_lists_what_failed_in_a_file(run, rock: Path, bad_spectra: dict[str, Path]) -> None:
     listed = rock.parent / "bands.failed"
     empty, missing = bad_spectra["empty.csv"], bad_spectra["missing.csv"]
     assert run("spectra", "bands", rock, "--failed", listed).code == 0
@@ -395,7 +392,7 @@ def test_a_batch_lists_what_failed_in_a_file(run: Run, rock: Path, bad_spectra: 
     assert run("spectra", "bands", rock, "--failed", listed, "-o", listed, "--force").code == 2
 
 
-def test_results_in_a_folder_of_inputs_are_left_out_and_said(run: Run, rock: Path) -> None:
+def test_results_in_a_folder_of_inputs_are_left_out_and_said(run, rock: Path) -> None:
     folder = rock.parent / "in"
     folder.mkdir()
     (folder / "rock.csv").write_bytes(rock.read_bytes())
@@ -416,7 +413,7 @@ def test_results_in_a_folder_of_inputs_are_left_out_and_said(run: Run, rock: Pat
     assert alone.code == 4 and "nothing but results of lunarsci" in alone.err[-1]
 
 
-def test_what_is_written_to_a_file_is_answered_in_a_sentence_with_its_trust(run: Run, tmp_path: Path) -> None:
+def test_what_is_written_to_a_file_is_answered_in_a_sentence_with_its_trust(run, tmp_path: Path) -> None:
     one, two = tmp_path / "one.json", tmp_path / "two.json"
     done = run("regolith", "forces", "--load", "36.5", "--slip", "0.1", "-o", one)
     assert done.err[1].startswith("At 12.4 mm sinkage and a slip of 0.1 a wheel carries 36.5 N, pulls with 4.93 N ")
@@ -429,14 +426,14 @@ def test_what_is_written_to_a_file_is_answered_in_a_sentence_with_its_trust(run:
     assert not any(line.startswith("No-go for the drive") for line in quiet.err)
 
 
-def test_a_wrong_column_is_wrong_usage_and_the_nearest_is_named(run: Run, rock: Path) -> None:
+def test_a_wrong_column_is_wrong_usage_and_the_nearest_is_named(run, rock: Path) -> None:
     for form in (["--csv"], []):
         done = run("spectra", "bands", rock, *form, "--columns", "bc1000_mn")
         assert (done.code, done.out) == (2, "")
         assert "--columns: 'bc1000_mn' is not a column" in done.err[0] and "did you mean 'bc1000_nm'?" in done.err[0]
 
 
-def test_blocks_of_another_computation_are_wrong_usage(run: Run, rock: Path) -> None:
+def test_blocks_of_another_computation_are_wrong_usage(run, rock: Path) -> None:
     target, partial = rock.parent / "out.csv", rock.parent / "out.csv.partial" / "bands"
     SavedBlocks(partial, {"options": "others"}, 20, 16).close(remove=False)
     many = [rock.parent / f"{k}.csv" for k in range(20)]
@@ -446,20 +443,20 @@ def test_blocks_of_another_computation_are_wrong_usage(run: Run, rock: Path) -> 
     assert done.code == 2 and "another computation" in done.err[-1] and not target.exists()
 
 
-def test_a_pattern_without_files_does_not_stop_a_batch(run: Run, rock: Path) -> None:
+def test_a_pattern_without_files_does_not_stop_a_batch(run, rock: Path) -> None:
     done = run("spectra", "bands", rock, rock.parent / "nothing*.csv", "--json")
     assert done.code == 1
     [spectrum] = json.loads(done.out)["result"]["spectra"]
     assert spectrum["source"] == str(rock)
 
 
-def test_a_field_below_null_is_null_and_said(run: Run, rock: Path) -> None:
+def test_a_field_below_null_is_null_and_said(run, rock: Path) -> None:
     done = run("spectra", "fit", rock, "--assemblage", "OL", "--field", "spectra.0.nbsr.um1.opx")
     assert (done.code, done.out) == (3, "null\n")
     assert done.err[-1] == "--field spectra.0.nbsr.um1.opx: no value"
 
 
-def test_a_field_that_other_spectra_have_is_missing_here(run: Run, rock: Path) -> None:
+def test_a_field_that_other_spectra_have_is_missing_here(run, rock: Path) -> None:
     """A mineral that was not fitted is missing; a wrong name stays wrong usage."""
     fit = ("spectra", "fit", rock, "--assemblage", "OL", "--field")
     lacking = run(*fit, "spectra.0.compositions.fs.mean")
@@ -512,14 +509,14 @@ def test_names_of_other_things_of_a_list_could_be_here() -> None:
             field_of(report, path, {})
 
 
-def test_a_fit_that_explains_nothing_is_not_to_be_trusted(run: Run, rock: Path) -> None:
+def test_a_fit_that_explains_nothing_is_not_to_be_trusted(run, rock: Path) -> None:
     rock.write_text(HEADER + "".join(f"{w},{0.1 if k % 2 else 0.9}\n" for k, w in enumerate(GRID)))
     done = run("spectra", "fit", rock)
     assert done.code == 3
     assert "does not describe" in done.err[-1]
 
 
-def test_a_folder_is_a_batch(run: Run, rock: Path) -> None:
+def test_a_folder_is_a_batch(run, rock: Path) -> None:
     (rock.parent / "second.csv").write_bytes(rock.read_bytes())
     for name in ("readme.txt", "rock.png"):
         (rock.parent / name).write_text("about the others")
@@ -529,7 +526,7 @@ def test_a_folder_is_a_batch(run: Run, rock: Path) -> None:
     assert run("spectra", "bands", rock.parent / "*", "--json").code == 1  # a pattern takes what it names
 
 
-def test_what_is_not_to_be_trusted_is_printed_and_exits_3(run: Run, states: Path) -> None:
+def test_what_is_not_to_be_trusted_is_printed_and_exits_3(run, states: Path) -> None:
     """Skidding at -0.075 with a pull of -1.30 N: no friction angle explains it under the physical reading."""
     states.write_text(states.read_text().replace("0.05", "-0.075"))
     done = run("regolith", "identify", states, "--json")
@@ -538,7 +535,7 @@ def test_what_is_not_to_be_trusted_is_printed_and_exits_3(run: Run, states: Path
     assert any(line.startswith("not to be trusted: ") for line in done.err)
 
 
-def test_warnings_are_said_once_recorded_and_silenced_by_quiet(run: Run, states: Path) -> None:
+def test_warnings_are_said_once_recorded_and_silenced_by_quiet(run, states: Path) -> None:
     arguments = ("regolith", "identify", states, "--rover", "yutu2", "--reading", "slip-branch", "--json")
     done = run(*arguments)
     assert [line for line in done.err if line.startswith("warning: ")] == done.err[:1]
@@ -546,13 +543,13 @@ def test_warnings_are_said_once_recorded_and_silenced_by_quiet(run: Run, states:
     assert not any(line.startswith("warning") for line in run(*arguments, "-q").err)
 
 
-def test_the_seed_decides_the_draws(run: Run, states: Path) -> None:
+def test_the_seed_decides_the_draws(run, states: Path) -> None:
     field = ("--field", "bearing.stiffness_kpa_m_n.sigma")
     first, same, other = (run("regolith", "identify", states, "--seed", s, *field).out for s in (1, 1, 2))
     assert first == same != other
 
 
-def test_a_traceback_only_when_asked_for(run: Run, tmp_path: Path) -> None:
+def test_a_traceback_only_when_asked_for(run, tmp_path: Path) -> None:
     assert len(run("spectra", "bands", tmp_path / "missing.csv").err) == 1
     assert any("Traceback" in line for line in run("spectra", "bands", tmp_path / "missing.csv", "-v").err)
 
@@ -623,7 +620,7 @@ def test_a_signal_leaves_nothing_behind_and_names_itself(tmp_path: Path) -> None
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_picture_that_fails_loses_no_other_file(run: Run, rock: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_picture_that_fails_loses_no_other_file(run, rock: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What was computed for a long time is written; the command fails all the same."""
 
     def fails(*_: object) -> bytes:
@@ -636,7 +633,7 @@ def test_a_picture_that_fails_loses_no_other_file(run: Run, rock: Path, monkeypa
     assert json.loads(result.read_text())["result"] and not picture.exists() and f"written: {result}" in done.err
 
 
-def test_a_field_that_lies_deeper_is_named(run: Run, rock: Path) -> None:
+def test_a_field_that_lies_deeper_is_named(run, rock: Path) -> None:
     for asked in ("bc1000_nm", "spectra.bc1000_nm"):
         done = run("spectra", "bands", rock, "--field", asked)
         assert done.code == 2 and "did you mean 'spectra.0.bc1000_nm'?" in done.err[0]
@@ -685,7 +682,7 @@ def test_a_value_of_a_kept_batch_is_trusted_as_its_own_spectrum_is(tmp_path: Pat
 
 @pytest.mark.parametrize("quiet", [(), ("-q",)])
 def test_a_batch_without_a_result_says_that_the_file_of_an_earlier_run_was_left(
-    run: Run, rock: Path, tmp_path: Path, quiet: tuple[str, ...]
+    run, rock: Path, tmp_path: Path, quiet: tuple[str, ...]
 ) -> None:
     out, plot, failed, bad = (tmp_path / name for name in ("bands.json", "bands.png", "bands.failed", "bad.csv"))
     bad.write_text("no spectrum")
@@ -706,7 +703,7 @@ def test_a_batch_without_a_result_says_that_the_file_of_an_earlier_run_was_left(
     assert out.read_bytes() != before
 
 
-def test_every_command_of_many_inputs_can_list_what_failed(run: Run, bad_spectra: dict[str, Path]) -> None:
+def test_every_command_of_many_inputs_can_list_what_failed(run, bad_spectra: dict[str, Path]) -> None:
     missing = bad_spectra["missing.csv"]
     commands = ["bands", "fit", "unmix", "indices", "match", "calibrate", "library check"]
     for name in commands:
@@ -716,7 +713,7 @@ def test_every_command_of_many_inputs_can_list_what_failed(run: Run, bad_spectra
         assert listed.read_text("utf-8").split("\t")[0] == str(missing), name
 
 
-def test_coarse_steps_and_samples_are_refused(run: Run) -> None:
+def test_coarse_steps_and_samples_are_refused(run) -> None:
     for option in ("--sample", "--time-step"):
         done = run("twin", "predict", option, "5")
         assert (done.code, done.out, len(done.err)) == (1, "", 1)

@@ -5,7 +5,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -13,7 +13,6 @@ import typer
 from lunarsci.cli import command_line, main
 from lunarsci.cli.manual import pages, write
 
-Run = Callable[..., "object"]
 NEEDS_PICTURES_OF_A_BOARD = "images calibrate"
 """`tests/images/test_calibration.py` runs its examples, with pictures that are made there."""
 
@@ -41,7 +40,7 @@ def commands(command: object = None, words: str = "") -> Iterator[tuple[str, obj
 
 def examples(command: object) -> list[str]:
     """What a user may type, as it stands below the help of a command."""
-    return re.split(r"\n  (?=lunarsci)", command.epilog.removeprefix("Examples:\n  "))  # type: ignore[attr-defined]
+    return re.split(r"\n  (?=lunarsci)", command.epilog.removeprefix("Examples:\n  "))
 
 
 def test_every_command_has_two_examples_in_its_help() -> None:
@@ -54,13 +53,13 @@ def test_every_command_has_two_examples_in_its_help() -> None:
 
 def test_options_of_a_long_help_are_in_panels() -> None:
     for words, command in commands():
-        own = [one for one in command.params if one.param_type_name == "option" and not one.hidden]  # type: ignore[attr-defined]
+        own = [one for one in command.params if one.param_type_name == "option" and not one.hidden]
         assert len([one for one in own if one.rich_help_panel is None]) <= 6, words
 
 
 def test_options_of_the_examples_exist() -> None:
     for words, command in commands():
-        known = {name for option in command.params for name in option.opts}  # type: ignore[attr-defined]
+        known = {name for option in command.params for name in option.opts}
         used = {found for line in examples(command) for found in re.findall(r"(?<!\S)(--?[a-z][a-z-]*)", line)}
         assert used <= known, words
 
@@ -91,7 +90,7 @@ def test_examples_run_one_after_the_other(tmp_path: Path, program: Path, demo: P
 
 
 @pytest.mark.parametrize("words", [[], ["spectra"], ["spectra", "bands"]])
-def test_h_is_help(run: Run, words: list[str]) -> None:
+def test_h_is_help(run, words: list[str]) -> None:
     assert run(*words, "-h").out == run(*words, "--help").out != ""
 
 
@@ -135,7 +134,7 @@ def test_a_shell_completes_commands_and_options() -> None:
         (["template", "rver"], "rover"),
     ],
 )
-def test_an_error_names_the_nearest(run: Run, arguments: list[str], meant: str) -> None:
+def test_an_error_names_the_nearest(run, arguments: list[str], meant: str) -> None:
     wrong = run(*arguments)
     assert wrong.code in (1, 2) and len(wrong.err) == 1
     assert re.search(
@@ -143,7 +142,7 @@ def test_an_error_names_the_nearest(run: Run, arguments: list[str], meant: str) 
     ), wrong.err
 
 
-def test_a_config_file_has_a_section_a_command(run: Run, states: Path, tmp_path: Path) -> None:
+def test_a_config_file_has_a_section_a_command(run, states: Path, tmp_path: Path) -> None:
     config = tmp_path / "run.toml"
     config.write_text("[regolith.forces]\nsinkage = 0.01\n[regolith.identify]\nseed = 3\n[spectra.bands]\nsmooth = 5\n")
     forces = ("regolith", "forces", "--config", config, "--field", "sinkage_m")
@@ -167,7 +166,7 @@ def test_a_manual_page_has_every_option_of_its_command(tmp_path: Path) -> None:
     assert {f"lunarsci-{words.replace(' ', '-')}.1" for words in known} < made.keys()
     for words, command in known.items():
         text = made[f"lunarsci-{words.replace(' ', '-')}.1"].replace(r"\-", "-")
-        assert all(name in text for option in command.params for name in option.opts if name.startswith("--"))  # type: ignore[attr-defined]
+        assert all(name in text for option in command.params for name in option.opts if name.startswith("--"))
         assert all(line.split(" \\\n")[0] in text for line in examples(command))
     write(str(tmp_path))
     if shutil.which("groff"):
@@ -178,7 +177,7 @@ def test_a_manual_page_has_every_option_of_its_command(tmp_path: Path) -> None:
 
 
 def test_a_template_and_a_citation_are_printed_as_they_are(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "60")
     monkeypatch.chdir(tmp_path)
@@ -192,7 +191,7 @@ def test_a_template_and_a_citation_are_printed_as_they_are(
     assert "ding2024" in run("cite", "forces.json", "--columns", "key").out
 
 
-def test_info_of_what_would_be_refused_ends_with_3(run: Run, tmp_path: Path) -> None:
+def test_info_of_what_would_be_refused_ends_with_3(run, tmp_path: Path) -> None:
     wrong = tmp_path / "plan.toml"
     wrong.write_text("[drive]\nspeed_m_s = 0.05\n[[leg]]\nlenght_m = 3\n")
     done = run("info", wrong)

@@ -4,7 +4,6 @@ import csv
 import io
 import json
 import struct
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,6 @@ import pytest
 from lunarsci.io.inputs import read_input
 from lunarsci.spectra.readers.library import read_library
 
-Run = Callable[..., "object"]
 LIBRARY = ("spectra", "library")
 
 
@@ -51,7 +49,7 @@ def samples(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def library(run: Run, laboratory: Path, samples: Path) -> Path:
+def library(run, laboratory: Path, samples: Path) -> Path:
     path = samples.parent / "lib.ecsv"
     done = run(*LIBRARY, "import", laboratory, "--metadata", samples, "--source", "mine", "-o", path, "-q")
     assert (done.code, done.out, done.err) == (0, "", [])
@@ -69,7 +67,7 @@ def test_a_folder_of_all_formats_becomes_one_library(library: Path) -> None:
     assert (members["px-envi"].fs, members["px-envi"].wo) == (0.2, 0.02)
 
 
-def test_list_is_a_table_json_and_csv(run: Run, library: Path) -> None:
+def test_list_is_a_table_json_and_csv(run, library: Path) -> None:
     assert "orthopyroxene" in run(*LIBRARY, "list", library).out
     document = json.loads(run(*LIBRARY, "list", library, "--json").out)
     assert document["schema"] == "lunarsci/spectra-library/1"
@@ -79,7 +77,7 @@ def test_list_is_a_table_json_and_csv(run: Run, library: Path) -> None:
     assert [row["mineral"] for row in rows].count("olivine") == 3
 
 
-def test_the_library_remembers_how_it_was_made_and_is_repeatable(run: Run, laboratory: Path, samples: Path) -> None:
+def test_the_library_remembers_how_it_was_made_and_is_repeatable(run, laboratory: Path, samples: Path) -> None:
     arguments = (*LIBRARY, "import", laboratory / "table.csv", "--mineral", "other", "--no-time", "-q", "-o")
     first, second = samples.parent / "a.ecsv", samples.parent / "b.ecsv"
     assert (run(*arguments, first).code, run(*arguments, second).code) == (0, 0)
@@ -88,7 +86,7 @@ def test_the_library_remembers_how_it_was_made_and_is_repeatable(run: Run, labor
     assert {member.mineral for member in read_library(read_input(str(first)))} == {"other"}
 
 
-def test_libraries_are_merged_and_described_again(run: Run, library: Path, laboratory: Path) -> None:
+def test_libraries_are_merged_and_described_again(run, library: Path, laboratory: Path) -> None:
     merged, more = library.parent / "merged.ecsv", laboratory / "more.csv"
     more.write_text((laboratory / "table.csv").read_text().replace("-csv", "-new"))
     done = run(*LIBRARY, "import", library, more, "--mineral", "glass", "-o", merged, "-q")
@@ -97,7 +95,7 @@ def test_libraries_are_merged_and_described_again(run: Run, library: Path, labor
     assert (minerals["ol-csv"], minerals["ol-new"], len(minerals)) == ("olivine", "glass", 8)
 
 
-def test_mixtures_and_strangers_are_named(run: Run, laboratory: Path, tmp_path: Path) -> None:
+def test_mixtures_and_strangers_are_named(run, laboratory: Path, tmp_path: Path) -> None:
     table = tmp_path / "modes.txt"
     table.write_text("id,vol_ol,vol_opx\nol-csv,0.5,0.5\n")
     done = run(*LIBRARY, "import", laboratory / "table.csv", "--metadata", table, "--json")
@@ -107,14 +105,14 @@ def test_mixtures_and_strangers_are_named(run: Run, laboratory: Path, tmp_path: 
     assert any("says nothing: px-csv" in line for line in done.err)
 
 
-def test_check_is_content_with_a_good_library(run: Run, library: Path) -> None:
+def test_check_is_content_with_a_good_library(run, library: Path) -> None:
     done = run(*LIBRARY, "check", library, "--json")
     assert (done.code, done.err) == (0, [])
     assert json.loads(done.out)["result"]["ok"] is True
     assert "all 6 end members are fit for use" in run(*LIBRARY, "check", library).out
 
 
-def test_check_names_what_must_be_mended_and_exits_3(run: Run, library: Path) -> None:
+def test_check_names_what_must_be_mended_and_exits_3(run, library: Path) -> None:
     text = library.read_text()
     library.write_text(text.replace("mineral: olivine", "mineral: null", 1).replace("fs: 0.2", "fs: 0.9", 1))
     done = run(*LIBRARY, "check", library)
@@ -126,7 +124,7 @@ def test_check_names_what_must_be_mended_and_exits_3(run: Run, library: Path) ->
     assert [row["must_mend"] for row in rows].count("true") == 2
 
 
-def test_two_libraries_with_one_id_do_not_go_together(run: Run, library: Path) -> None:
+def test_two_libraries_with_one_id_do_not_go_together(run, library: Path) -> None:
     twin = library.with_name("twin.ecsv")
     twin.write_bytes(library.read_bytes())
     done = run(*LIBRARY, "check", library, twin)
@@ -137,7 +135,7 @@ def test_two_libraries_with_one_id_do_not_go_together(run: Run, library: Path) -
     assert not library.with_name("both.ecsv").exists()
 
 
-def test_plot_draws(run: Run, library: Path) -> None:
+def test_plot_draws(run, library: Path) -> None:
     picture, again = (library.with_name(f"{name}.svg") for name in "ab")
     done = run(*LIBRARY, "plot", library, "-o", picture)
     assert (done.code, done.out, done.err[0]) == (0, "", f"written: {picture}")
@@ -157,18 +155,18 @@ def test_plot_draws(run: Run, library: Path) -> None:
         (("import", "nowhere.csv", "--mineral", "olivine"), 1),
     ],
 )
-def test_wrong_usage_and_missing_files(run: Run, arguments: tuple[str, ...], code: int) -> None:
+def test_wrong_usage_and_missing_files(run, arguments: tuple[str, ...], code: int) -> None:
     wrong = run(*LIBRARY, *arguments)
     assert (wrong.code, wrong.out, len(wrong.err)) == (code, "", 1)
 
 
-def test_a_library_is_not_written_as_a_list(run: Run, laboratory: Path, tmp_path: Path) -> None:
+def test_a_library_is_not_written_as_a_list(run, laboratory: Path, tmp_path: Path) -> None:
     wrong = run(*LIBRARY, "import", laboratory / "table.csv", "-o", tmp_path / "lib.csv", "-q")
     assert (wrong.code, len(wrong.err), (tmp_path / "lib.csv").exists()) == (1, 1, False)
     assert ".ecsv" in wrong.err[0]
 
 
-def test_the_table_may_lie_among_the_spectra(run: Run, laboratory: Path, samples: Path) -> None:
+def test_the_table_may_lie_among_the_spectra(run, laboratory: Path, samples: Path) -> None:
     moved = samples.rename(laboratory / "samples.csv")
     done = run(*LIBRARY, "import", laboratory, "--metadata", moved, "--json", "-q")
     assert (done.code, done.err) == (0, [])
@@ -176,7 +174,7 @@ def test_the_table_may_lie_among_the_spectra(run: Run, laboratory: Path, samples
     assert (only.code, only.out, len(only.err)) == (1, "", 1)
 
 
-def test_a_bad_file_among_good_ones_is_named_and_the_rest_imported(run: Run, laboratory: Path) -> None:
+def test_a_bad_file_among_good_ones_is_named_and_the_rest_imported(run, laboratory: Path) -> None:
     (laboratory / "bad.csv").write_text("wavelength_nm,x\n400,bright\n")
     done = run(*LIBRARY, "import", laboratory, "--mineral", "olivine", "--json", "-q")
     assert done.code == 1
@@ -185,7 +183,7 @@ def test_a_bad_file_among_good_ones_is_named_and_the_rest_imported(run: Run, lab
 
 
 @pytest.mark.reference
-def test_the_laboratory_collection_becomes_a_library(run: Run, reference_data: Path, tmp_path: Path) -> None:
+def test_the_laboratory_collection_becomes_a_library(run, reference_data: Path, tmp_path: Path) -> None:
     """172 spectra with their modes: the pure ones in, the mixtures out, nothing to mend."""
     folder, path = reference_data / "spectra/relab", tmp_path / "relab.ecsv"
     spectra, table = folder / "reflectance.csv", folder / "manifest.csv"

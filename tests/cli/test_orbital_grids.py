@@ -2,9 +2,7 @@
 
 import json
 import math
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +11,6 @@ from lunarsci.twin.ground.synthetic import crater_height
 from lunarsci.twin.plans.plan import read_plan
 
 rasterio = pytest.importorskip("rasterio")
-Run = Callable[..., Any]
 PLAN = ("twin", "plan")
 SPACING, NODES = 2.0, 560
 WEST, NORTH = 711_000.0, 21_200.0
@@ -51,7 +48,7 @@ def places(start: tuple[float, float], target: tuple[float, float]) -> tuple[str
 
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [0.1, pytest.param(1.0, marks=pytest.mark.study)])
-def test_a_kilometre_is_planned_and_driven(share: float, run: Run, dtm: Path, tmp_path: Path) -> None:
+def test_a_kilometre_is_planned_and_driven(share: float, run, dtm: Path, tmp_path: Path) -> None:
     """Or a share of it."""
     site, careful = tmp_path / "site", ("--hazard-distance", "5", "--max-slope", "15")
     target = (START[0] + share * (TARGET[0] - START[0]), START[1] + share * (TARGET[1] - START[1]))
@@ -72,14 +69,14 @@ def test_a_kilometre_is_planned_and_driven(share: float, run: Run, dtm: Path, tm
     assert math.dist((said["endpoint"]["x_m"], said["endpoint"]["y_m"]), target) < 3.0
 
 
-def test_a_target_off_the_grid_is_one_line(run: Run, dtm: Path) -> None:
+def test_a_target_off_the_grid_is_one_line(run, dtm: Path) -> None:
     for target, says in (((WEST + 5000.0, NORTH), "outside the map"), ((WEST + 1090.0, NORTH - 10.0), "unknown")):
         failed = run(*PLAN, dtm, *places(START, target))
         assert (failed.code, failed.out, len(failed.err)) == (1, "", 1), failed
         assert says in failed.err[0]
 
 
-def test_a_finer_grid_is_looked_at_where_it_lies(run: Run, dtm: Path, tmp_path: Path) -> None:
+def test_a_finer_grid_is_looked_at_where_it_lies(run, dtm: Path, tmp_path: Path) -> None:
     mast, target = tmp_path / "mast.tif", (START[0] + 36.0, START[1])
     shape = {"driver": "GTiff", "height": 160, "width": 160, "count": 1, "dtype": "float32"}
     where = {"crs": MOON, "transform": rasterio.transform.from_origin(START[0] + 8.0, START[1] + 10.0, 0.125, 0.125)}

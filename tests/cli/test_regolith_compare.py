@@ -4,16 +4,12 @@ import csv
 import io
 import json
 import math
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-Run = Callable[..., Any]
 
-
-def test_the_command_takes_a_result_or_numbers(run: Run, states: Path, tmp_path: Path) -> None:
+def test_the_command_takes_a_result_or_numbers(run, states: Path, tmp_path: Path) -> None:
     result = tmp_path / "soil.json"
     assert run("regolith", "identify", states, "--json", "-o", result).code == 0
     by_result = run("regolith", "compare", result, "--json")
@@ -28,7 +24,7 @@ def test_the_command_takes_a_result_or_numbers(run: Run, states: Path, tmp_path:
     assert len(rows) == 45
 
 
-def test_the_joint_posterior_is_taken_where_there_is_one(run: Run, states: Path, tmp_path: Path) -> None:
+def test_the_joint_posterior_is_taken_where_there_is_one(run, states: Path, tmp_path: Path) -> None:
     result = tmp_path / "soil.json"
     assert run("regolith", "infer", states, "--json", "-o", result).code == 0
     joint = json.loads(result.read_text())["result"]["joint"]["parameters"]
@@ -36,7 +32,7 @@ def test_the_joint_posterior_is_taken_where_there_is_one(run: Run, states: Path,
     assert site["friction_angle_deg"] == joint["friction_angle_deg"]["median"]
 
 
-def test_a_belief_is_compared_by_its_medians(run: Run, states: Path, tmp_path: Path) -> None:
+def test_a_belief_is_compared_by_its_medians(run, states: Path, tmp_path: Path) -> None:
     """ln K_s, ln N and ln tan φ are the first, second and fifth of its means."""
     belief = tmp_path / "belief.json"
     done = run("regolith", "infer", states, "--posterior", belief)
@@ -61,7 +57,7 @@ def test_a_belief_is_compared_by_its_medians(run: Run, states: Path, tmp_path: P
     ],
 )
 def test_what_cannot_be_compared_is_refused(
-    run: Run, tmp_path: Path, arguments: tuple[str, ...], code: int, message: str
+    run, tmp_path: Path, arguments: tuple[str, ...], code: int, message: str
 ) -> None:
     path = tmp_path / "odd.json"
     path.write_text('{"result": {"odd": 1}}')

@@ -1,7 +1,6 @@
 """`lunarsci regolith forces --exact` and `infer`."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,6 @@ from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.regolith.soil import read_soil
 from lunarsci.regolith.wheel import read_wheel
 
-Run = Callable[..., Any]
 FORCES = ("regolith", "forces", "--sinkage", "0.012", "--slip", "0.2", "--side-slip", "5")
 
 
@@ -33,14 +31,14 @@ def drive(tmp_path: Path) -> Path:
     return path
 
 
-def result(run: Run, *arguments: object) -> dict[str, Any]:
+def result(run, *arguments: object) -> dict[str, Any]:
     done = run(*arguments, "--json")
     assert done.code == 0, done.err
     found: dict[str, Any] = json.loads(done.out)["result"]
     return found
 
 
-def test_exact_forces_lie_above_the_closed_form_and_have_moments(run: Run) -> None:
+def test_exact_forces_lie_above_the_closed_form_and_have_moments(run) -> None:
     closed, exact = result(run, *FORCES), result(run, *FORCES, "--exact")
     assert 1.04 <= exact["normal_force_n"] / closed["normal_force_n"] <= 1.18
     assert "steering_moment_nm" not in closed
@@ -50,12 +48,12 @@ def test_exact_forces_lie_above_the_closed_form_and_have_moments(run: Run) -> No
     assert "overturning moment" in run(*FORCES, "--exact").out
 
 
-def test_choices_of_the_integrals_imply_them(run: Run) -> None:
+def test_choices_of_the_integrals_imply_them(run) -> None:
     for choice in (("--bulldozing", "wong"), ("--rebound", "0.3"), ("--shear", "ellipse")):
         assert result(run, *FORCES, *choice) == result(run, *FORCES, *choice, "--exact")
 
 
-def test_the_joint_posterior_holds_the_soil_that_made_the_states(run: Run, drive: Path) -> None:
+def test_the_joint_posterior_holds_the_soil_that_made_the_states(run, drive: Path) -> None:
     joint = result(run, "regolith", "infer", drive, "--exact")["joint"]
     soil = read_soil("lunar-typical")
     assert joint["order"] == list(PARAMETERS)
@@ -72,7 +70,7 @@ def test_the_joint_posterior_holds_the_soil_that_made_the_states(run: Run, drive
     assert "known to" in shown.out
 
 
-def test_priors_of_the_user_are_used_and_named(run: Run, drive: Path, tmp_path: Path) -> None:
+def test_priors_of_the_user_are_used_and_named(run, drive: Path, tmp_path: Path) -> None:
     prior = tmp_path / "prior.toml"
     prior.write_text("[cohesion_pa]\nmedian = 520\nsd = 0.01\n")
     done = run("regolith", "infer", drive, "--prior-file", prior, "--law", "given", "--draw-posterior", "--json")
@@ -85,26 +83,26 @@ def test_priors_of_the_user_are_used_and_named(run: Run, drive: Path, tmp_path: 
     assert "joint" not in result(run, "regolith", "identify", drive)
 
 
-def test_the_joint_posterior_has_one_reading(run: Run, drive: Path) -> None:
+def test_the_joint_posterior_has_one_reading(run, drive: Path) -> None:
     assert run("regolith", "infer", drive, "--reading", "printed").code == 2
     with pytest.raises(RequestError, match="`reading` printed only reproduces numbers"):
         infer(drive, reading="printed")
 
 
-def test_slip_beyond_the_range_of_the_model_is_said(run: Run) -> None:
+def test_slip_beyond_the_range_of_the_model_is_said(run) -> None:
     done = run("regolith", "forces", "--sinkage", "0.012", "--slip", "0.7")
     assert done.code == 0
     assert any("beyond 0.6" in line for line in done.err)
 
 
-def test_moduli_of_reece_make_the_moon_softer_than_the_earth(run: Run) -> None:
+def test_moduli_of_reece_make_the_moon_softer_than_the_earth(run) -> None:
     options = ("regolith", "forces", "--load", "36", "--reece-cohesive", "0", "--reece-frictional", "677")
     moon, earth = (result(run, *options, "--gravity", g) for g in ("1.622", "9.81"))
     assert moon["soil"]["stiffness_kpa_m_n"] / earth["soil"]["stiffness_kpa_m_n"] == pytest.approx(1.622 / 9.81)
     assert moon["sinkage_m"] > earth["sinkage_m"]
 
 
-def test_a_rut_carries_more(run: Run) -> None:
+def test_a_rut_carries_more(run) -> None:
     plain = result(run, *FORCES, "--exact")
     rut = result(run, *FORCES, "--exact", "--rut", "0.02", "--reload", "5e6")
     assert rut["normal_force_n"] > plain["normal_force_n"]
@@ -129,7 +127,7 @@ def test_a_rut_carries_more(run: Run) -> None:
         ),
     ],
 )
-def test_states_and_options_that_make_no_sense_are_refused(run: Run, options: tuple[str, ...], hint: str) -> None:
+def test_states_and_options_that_make_no_sense_are_refused(run, options: tuple[str, ...], hint: str) -> None:
     done = run("regolith", "forces", *options)
     assert done.code in (1, 2)
     assert hint in done.err[-1]
@@ -137,14 +135,14 @@ def test_states_and_options_that_make_no_sense_are_refused(run: Run, options: tu
 
 
 @pytest.mark.parametrize("exact", [(), ("--exact",)])
-def test_a_pull_that_only_cohesion_gives_is_not_to_be_trusted(run: Run, exact: tuple[str, ...]) -> None:
+def test_a_pull_that_only_cohesion_gives_is_not_to_be_trusted(run, exact: tuple[str, ...]) -> None:
     done = run("regolith", "forces", "--sinkage", "2e-7", "--slip", "0.2", *exact, "--json")
     assert done.code == 3
     assert "cohesion alone would pull" in done.err[-1]
     assert json.loads(done.out)["result"]["cohesion_share"] > 10
 
 
-def test_a_result_that_lacks_its_curves_is_refused_by_name(run: Run, tmp_path: Path) -> None:
+def test_a_result_that_lacks_its_curves_is_refused_by_name(run, tmp_path: Path) -> None:
     path = tmp_path / "half.json"
     path.write_text('{"result": {"joint": {"parameters": {}}}}')
     done = run("regolith", "compare", path)
@@ -153,7 +151,7 @@ def test_a_result_that_lacks_its_curves_is_refused_by_name(run: Run, tmp_path: P
     assert "regolith infer --json" in done.err[-1] and "give --stiffness" in done.err[-1]
 
 
-def test_sensitivity_and_profile_are_in_the_result(run: Run, drive: Path) -> None:
+def test_sensitivity_and_profile_are_in_the_result(run, drive: Path) -> None:
     found = result(run, "regolith", "infer", drive, "--sensitivity", "--profile")
     assert found["joint"]["intervals"] == "profile"
     assert {"parameter", "quantity", "alone", "saved"} == set(found["sensitivity"][0])
@@ -173,9 +171,7 @@ def turned(drive: Path, tmp_path: Path) -> Path:
     return path
 
 
-def test_a_fit_that_explains_nothing_is_said_kept_and_repeated_by_the_drive(
-    run: Run, turned: Path, tmp_path: Path
-) -> None:
+def test_a_fit_that_explains_nothing_is_said_kept_and_repeated_by_the_drive(run, turned: Path, tmp_path: Path) -> None:
     soils, belief = tmp_path / "soils.csv", tmp_path / "belief.json"
     for path in (soils, belief):
         done = run("regolith", "infer", turned, "--posterior", path, "--json")
@@ -194,7 +190,7 @@ def test_a_fit_that_explains_nothing_is_said_kept_and_repeated_by_the_drive(
 
 
 def test_straight_drives_are_trusted_together_though_single_states_leave_the_lateral_pair_open(
-    run: Run, drive: Path, tmp_path: Path
+    run, drive: Path, tmp_path: Path
 ) -> None:
     lines = [line.split(",") for line in drive.read_text().splitlines()]
     straight = tmp_path / "straight.csv"
@@ -205,7 +201,7 @@ def test_straight_drives_are_trusted_together_though_single_states_leave_the_lat
     assert verdict["trusted"]
 
 
-def test_the_law_is_chosen_by_its_score_and_predicts_another_wheel(run: Run, drive: Path, tmp_path: Path) -> None:
+def test_the_law_is_chosen_by_its_score_and_predicts_another_wheel(run, drive: Path, tmp_path: Path) -> None:
     other = tmp_path / "other.csv"
     other.write_text("slip_ratio,normal_force_n\n0.2,20\n0.4,20\n")
     found = result(
@@ -228,5 +224,5 @@ def test_the_law_is_chosen_by_its_score_and_predicts_another_wheel(run: Run, dri
     assert run("regolith", "infer", drive, "--law", "auto", "--exact").code == 2
 
 
-def test_slip_beyond_what_was_measured_is_said(run: Run) -> None:
+def test_slip_beyond_what_was_measured_is_said(run) -> None:
     assert "beyond 0.6" in run("regolith", "forces", "--load", "36", "--slip", "0.7").err[0]

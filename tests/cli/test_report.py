@@ -4,14 +4,10 @@ import csv
 import io
 import json
 import re
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
-
-Run = Callable[..., Any]
 
 
-def test_a_page_of_two_results(run: Run, rock: Path, tmp_path: Path) -> None:
+def test_a_page_of_two_results(run, rock: Path, tmp_path: Path) -> None:
     bands, picture, forces, page = (tmp_path / name for name in ("bands.json", "bands.png", "forces.json", "page.html"))
     assert run("spectra", "bands", rock, "-o", bands, "--plot", picture).code == 0
     assert run("regolith", "forces", "--load", 36.5, "-o", forces).code == 0
@@ -26,7 +22,7 @@ def test_a_page_of_two_results(run: Run, rock: Path, tmp_path: Path) -> None:
     assert "http" not in html.replace("http-equiv", "")
 
 
-def test_a_picture_of_several_pages_names_those_that_are_left_out(run: Run, rock: Path, tmp_path: Path) -> None:
+def test_a_picture_of_several_pages_names_those_that_are_left_out(run, rock: Path, tmp_path: Path) -> None:
     made = {suffix: tmp_path / f"match.{suffix}" for suffix in ("json", "png", "pdf", "html")}
     rocks = tmp_path / "rocks"
     rocks.mkdir()
@@ -46,7 +42,7 @@ def test_a_picture_of_several_pages_names_those_that_are_left_out(run: Run, rock
     assert "first page" not in made["html"].read_text("utf-8")
 
 
-def test_without_a_file_the_answers_are_printed(run: Run, rock: Path, tmp_path: Path) -> None:
+def test_without_a_file_the_answers_are_printed(run, rock: Path, tmp_path: Path) -> None:
     bands = tmp_path / "bands.json"
     run("spectra", "bands", rock, "-o", bands)
     assert "absorbs at" in run("report", bands).out
@@ -58,7 +54,7 @@ def test_without_a_file_the_answers_are_printed(run: Run, rock: Path, tmp_path: 
     assert row["answer"] == section["answer"]
 
 
-def test_what_is_no_result_is_refused(run: Run, rock: Path, tmp_path: Path) -> None:
+def test_what_is_no_result_is_refused(run, rock: Path, tmp_path: Path) -> None:
     (tmp_path / "thing.json").write_text('{"a": 1}')
     for what in (tmp_path / "thing.json", rock, tmp_path / "nowhere.json"):
         refused = run("report", what, "-o", tmp_path / "page.html")

@@ -3,7 +3,6 @@
 import csv
 import io
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -11,7 +10,6 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from lunarsci.cli.shared.table import UNKNOWN, TextTable, fitted, plus_minus, render, to_markdown, to_tex, to_tsv
 
-Run = Callable[..., "object"]
 CELLS = st.text(st.characters(codec="utf-8", categories=("L", "N", "P", "Zs"), max_codepoint=0x2FF), max_size=90)
 WIDE = TextTable(
     ["spectrum", "BC1000 [nm]", "spread at 1 µm [nm]", "area1000 [nm]", "continuum at 1 µm", "BC2000 [nm]", "status"],
@@ -90,7 +88,7 @@ def test_other_forms_hold_the_same_cells() -> None:
     assert r"a\_b & c | d [\%] \\" in tex and r"1 \& 2 & $\pm$ \\" in tex and r"\begin{tabular}{ll}" in tex
 
 
-def test_formats_and_columns_of_a_command(run: Run) -> None:
+def test_formats_and_columns_of_a_command(run) -> None:
     forces = ("regolith", "forces", "--sinkage", "0.008", "--slip", "0:0.2:3")
     assert run(*forces, "--format", "csv").out == run(*forces, "--csv").out
     assert json.loads(run(*forces, "--format", "json", "--no-time").out)["result"]
@@ -104,7 +102,7 @@ def test_formats_and_columns_of_a_command(run: Run) -> None:
         assert run(*forces, *options).code == 2
 
 
-def test_the_terminal_is_asked_and_a_file_is_not_cut(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_terminal_is_asked_and_a_file_is_not_cut(run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     forces = ("regolith", "forces", "--sinkage", "0.008", "--slip", "0:0.2:3")
     whole = run(*forces).out
     monkeypatch.setenv("COLUMNS", "60")
@@ -115,7 +113,7 @@ def test_the_terminal_is_asked_and_a_file_is_not_cut(run: Run, tmp_path: Path, m
     assert (tmp_path / "table.txt").read_text("utf-8") == whole
 
 
-def test_a_field_without_a_value_or_out_of_range_ends_with_3(run: Run, rock: Path) -> None:
+def test_a_field_without_a_value_or_out_of_range_ends_with_3(run, rock: Path) -> None:
     chemistry = ("spectra", "bands", rock, "--field", "spectra.0.chemistry.fs_trend_bc1000")
     done = run(*chemistry[:-1], f"{chemistry[-1]}.value")
     assert done.code == 3 and float(done.out) and len(done.err) == 1

@@ -2,9 +2,7 @@
 
 import json
 import re
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,7 +13,6 @@ from lunarsci.twin.jobs.plan import plan
 from lunarsci.twin.plans.plan import read_plan
 from lunarsci.twin.plans.risk import AcceptedRisk
 
-Run = Callable[..., Any]
 BASE = ("twin", "plan", "--target", "3,0.5", "--candidates", "6", "--members", "16", "-q", "--no-time")
 
 
@@ -27,7 +24,7 @@ def belief(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_the_best_comes_first_and_its_plan_can_be_predicted(run: Run, belief: Path, tmp_path: Path) -> None:
+def test_the_best_comes_first_and_its_plan_can_be_predicted(run, belief: Path, tmp_path: Path) -> None:
     folder = tmp_path / "chosen"
     done = run(*BASE, "--risk", "0.2", "--soil", belief, "--json", "-o", folder)
     assert done.code == 0, done.err
@@ -47,7 +44,7 @@ def test_the_best_comes_first_and_its_plan_can_be_predicted(run: Run, belief: Pa
     assert driven.code == 0, driven.out + driven.stderr
 
 
-def test_what_is_accepted_of_a_risk_is_accepted_by_the_prediction(run: Run, belief: Path, tmp_path: Path) -> None:
+def test_what_is_accepted_of_a_risk_is_accepted_by_the_prediction(run, belief: Path, tmp_path: Path) -> None:
     """A drive that misses its end on some soils: go at the risk that the plan took, else no-go."""
     chosen, plan = tmp_path / "chosen", tmp_path / "chosen" / "plan.toml"
     on = ("--terrain", chosen / "terrain.npz", "--soil", belief, "--members", "32", "--seed", "3", "-q")
@@ -78,7 +75,7 @@ def test_what_is_accepted_of_a_risk_is_accepted_by_the_prediction(run: Run, beli
     assert alone.code == 3 and "endpoint_miss_m: p95" in alone.out and "95 % of drives" in alone.out
 
 
-def test_the_table_can_be_read_aloud(run: Run, belief: Path) -> None:
+def test_the_table_can_be_read_aloud(run, belief: Path) -> None:
     done = run(*BASE, "--risk", "0.2", "--soil", belief, "--fixes", "0.05,0.5")
     lines = done.out.splitlines()
     assert done.code == 0 and lines[0].startswith("take drive ")
@@ -86,7 +83,7 @@ def test_the_table_can_be_read_aloud(run: Run, belief: Path) -> None:
     assert 6 <= len(rows) <= 12 and max(map(len, rows)) <= 80
 
 
-def test_a_limit_that_no_soil_keeps_ends_with_code_3_and_the_reason(run: Run, belief: Path, tmp_path: Path) -> None:
+def test_a_limit_that_no_soil_keeps_ends_with_code_3_and_the_reason(run, belief: Path, tmp_path: Path) -> None:
     folder = tmp_path / "none"
     done = run(*BASE, "--risk", "0.05", "--soil", belief, "--tolerance", "0.001", "-o", folder)
     assert done.code == 3 and "no drive keeps a risk of 0.05" in " ".join(done.err)
@@ -97,7 +94,7 @@ def test_a_limit_that_no_soil_keeps_ends_with_code_3_and_the_reason(run: Run, be
     assert not (folder / "plan.toml").exists() and (folder / "candidates.csv").exists()
 
 
-def test_no_path_at_all_ends_with_code_1(run: Run) -> None:
+def test_no_path_at_all_ends_with_code_1(run) -> None:
     done = run(*BASE, "--risk", "0.05", "--max-slope", "1")
     assert done.code == 1 and done.out == "" and len(done.err) == 1
 
@@ -117,12 +114,12 @@ def test_no_path_at_all_ends_with_code_1(run: Run) -> None:
         (("--fixes", "0.1,1"), "give --risk, too"),
     ],
 )
-def test_impossible_options_are_wrong_usage(run: Run, options: tuple[str, ...], said: str) -> None:
+def test_impossible_options_are_wrong_usage(run, options: tuple[str, ...], said: str) -> None:
     done = run(*BASE, *options)
     assert done.code == 2 and said in " ".join(" ".join(done.err).replace("│", " ").split()) and done.out == ""
 
 
-def test_limits_of_a_mission_are_counted_and_written(run: Run, belief: Path, tmp_path: Path) -> None:
+def test_limits_of_a_mission_are_counted_and_written(run, belief: Path, tmp_path: Path) -> None:
     """Against a miss that most drives have, more fail than against the metre that is assumed."""
     limits, folder = tmp_path / "limits.toml", tmp_path / "chosen"
     limits.write_text('[limits]\nendpoint_miss_m = 0.03\ntilt_deg = { value = 19.0, source = "rule 7" }\n')
@@ -157,7 +154,7 @@ def test_all_that_takes_long_tells_how_far_it_is(belief: Path) -> None:
     assert driven >= 48 and drives[-1] == totals[2] and 48 in drives
 
 
-def test_a_battery_that_does_not_reach_is_what_stands_in_the_way(run: Run, belief: Path) -> None:
+def test_a_battery_that_does_not_reach_is_what_stands_in_the_way(run, belief: Path) -> None:
     """At 60 W of electronics a drive of 60 s takes 1 Wh of 120 Wh: with 0.5 % of the battery none gets there."""
     done = run(*BASE, "--risk", "0.2", "--soil", belief, "--charge", "0.005", "--json")
     assert done.code == 3 and "battery_charge" in " ".join(done.err)

@@ -7,7 +7,6 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,7 +16,6 @@ from lunarsci.cli import main
 from lunarsci.io.inputs import read_input
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
 
-Run = Callable[..., Any]
 PLAN = '[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 1.2\ncurvature_per_m = 0.1\n[sweep]\ncohesion_pa = "300:600:4"\n'
 
 
@@ -64,7 +62,7 @@ def predicted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path
 
 
-def test_a_drive_as_predicted_is_trusted(run: Run, drive: Drive, tmp_path: Path) -> None:
+def test_a_drive_as_predicted_is_trusted(run, drive: Drive, tmp_path: Path) -> None:
     picture = tmp_path / "compare.png"
     done = run(*drive.arguments(), "--plan", drive.plan, "--json", "--plot", picture)
     assert done.code == 0, done.err
@@ -88,7 +86,7 @@ def test_a_drive_as_predicted_is_trusted(run: Run, drive: Drive, tmp_path: Path)
     assert run("twin", "compare", drive.folder, drive.states, "--field", "end").out == "null\n"
 
 
-def test_a_miss_teaches_the_belief_of_the_twins_physics(run: Run, drive: Drive, tmp_path: Path) -> None:
+def test_a_miss_teaches_the_belief_of_the_twins_physics(run, drive: Drive, tmp_path: Path) -> None:
     """An end 0.1 m beside the predicted one, 1 cm known: later regions are wider, and the drive counts once."""
     belief, after = tmp_path / "belief.json", tmp_path / "after.json"
     fixes = pd.read_csv(drive.positions)
@@ -109,7 +107,7 @@ def test_a_miss_teaches_the_belief_of_the_twins_physics(run: Run, drive: Drive, 
     assert run(*drive.arguments(), "--save", after).code == 2
 
 
-def test_another_ground_is_not_to_be_trusted(run: Run, drive: Drive) -> None:
+def test_another_ground_is_not_to_be_trusted(run, drive: Drive) -> None:
     table = pd.read_csv(drive.states)
     table["slip_ratio"] += 0.15
     table.to_csv(drive.states, index=False)
@@ -118,7 +116,7 @@ def test_another_ground_is_not_to_be_trusted(run: Run, drive: Drive) -> None:
     assert json.loads(done.out)["result"]["verdict"] == "not to be trusted"
 
 
-def test_what_is_near_the_edge_is_not_called_trusted(run: Run, drive: Drive, tmp_path: Path) -> None:
+def test_what_is_near_the_edge_is_not_called_trusted(run, drive: Drive, tmp_path: Path) -> None:
     """A slip that is off by some 1.8 standard deviations contradicts nothing, and confirms nothing."""
     own = {row["quantity"]: row for row in json.loads(run(*drive.arguments(), "--json").out)["result"]["quantities"]}
     table, band = pd.read_csv(drive.states), own["slip_ratio"]
@@ -138,7 +136,7 @@ def test_what_is_near_the_edge_is_not_called_trusted(run: Run, drive: Drive, tmp
     assert text.code == 1 and "--json -o plain.json" in text.err[0]
 
 
-def test_a_sweep_gives_no_probabilities_and_few_drives_no_trust(run: Run, drive: Drive, tmp_path: Path) -> None:
+def test_a_sweep_gives_no_probabilities_and_few_drives_no_trust(run, drive: Drive, tmp_path: Path) -> None:
     swept = tmp_path / "swept"
     assert run("twin", "predict", drive.plan, "-o", swept, "-q").code == 0
     done = run("twin", "compare", swept, drive.states, "--positions", drive.positions)
@@ -172,14 +170,14 @@ def broken(drive: Drive, how: str) -> None:
         ("broken plan", "not valid TOML"),
     ],
 )
-def test_a_broken_folder_is_one_line(run: Run, drive: Drive, how: str, says: str) -> None:
+def test_a_broken_folder_is_one_line(run, drive: Drive, how: str, says: str) -> None:
     broken(drive, how)
     done = run(*drive.arguments())
     assert (done.code, done.out, len(done.err)) == (1, "", 1), done.err
     assert says in done.err[0] and str(drive.folder) in done.err[0]
 
 
-def test_another_plan_rover_or_clock_is_refused(run: Run, drive: Drive, tmp_path: Path) -> None:
+def test_another_plan_rover_or_clock_is_refused(run, drive: Drive, tmp_path: Path) -> None:
     other = tmp_path / "other.toml"
     other.write_text(PLAN.replace("1.2", "1.3"))
     done = run(*drive.arguments(), "--plan", other)

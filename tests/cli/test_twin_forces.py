@@ -1,16 +1,13 @@
 """`lunarsci twin forces` along predictions, `twin loads` along given motions, and what passes between commands."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 import pytest
 
 from lunarsci.regolith.belief import first_belief
 
-Run = Callable[..., Any]
 PLAN = "[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 1.5\ncurvature_per_m = 0.1\n"
 WEIGHT = 135.0 * 1.622
 
@@ -22,7 +19,7 @@ def plan(tmp_path: Path) -> Path:
     return path
 
 
-def test_forces_of_a_predicted_drive(run: Run, plan: Path, tmp_path: Path) -> None:
+def test_forces_of_a_predicted_drive(run, plan: Path, tmp_path: Path) -> None:
     picture = tmp_path / "f.png"
     done = run("twin", "forces", plan, "--json", "--plot", picture)
     assert done.code == 0 and picture.stat().st_size > 20_000
@@ -35,12 +32,13 @@ def test_forces_of_a_predicted_drive(run: Run, plan: Path, tmp_path: Path) -> No
     assert csv[0].startswith("member,distance_m,time_s,wheel") and len(csv) == 1 + 6 * 16
 
 
-def test_forces_of_several_soils_count_alike(run: Run, plan: Path) -> None:
+def test_forces_of_several_soils_count_alike(run, plan: Path) -> None:
     done = run("twin", "forces", plan, "--sweep", "friction_angle_deg=30:50:3", "--field", "members")
     assert done.code == 0 and done.out == "3\n"
+    assert run("twin", "forces", plan, "--seed", "4").code == 2, "one drive has nothing to draw"
 
 
-def test_a_motion_is_explained_by_its_soil_and_not_by_another(run: Run, plan: Path, tmp_path: Path) -> None:
+def test_a_motion_is_explained_by_its_soil_and_not_by_another(run, plan: Path, tmp_path: Path) -> None:
     folder = tmp_path / "drive"
     assert run("twin", "predict", plan, "--soil", "longji", "-o", folder).code == 0
     motion = ("twin", "loads", plan, "--motion", folder / "paths.csv")
@@ -58,7 +56,7 @@ def test_a_motion_is_explained_by_its_soil_and_not_by_another(run: Run, plan: Pa
     assert rows[0].endswith("missing_ahead_n,missing_left_n,missing_moment_nm,rover,ground")
 
 
-def test_a_motion_without_commands_asks_for_them(run: Run, plan: Path, tmp_path: Path) -> None:
+def test_a_motion_without_commands_asks_for_them(run, plan: Path, tmp_path: Path) -> None:
     path = tmp_path / "motion.csv"
     path.write_text("time_s,x_m,y_m,yaw_deg\n0,0,0,0\n1,0.05,0,0\n2,0.1,0,0\n")
     done = run("twin", "loads", "--motion", path)
@@ -66,7 +64,7 @@ def test_a_motion_without_commands_asks_for_them(run: Run, plan: Path, tmp_path:
     assert run("twin", "loads").code == 2
 
 
-def test_a_posterior_passes_from_forces_to_the_next_prediction(run: Run, plan: Path, tmp_path: Path) -> None:
+def test_a_posterior_passes_from_forces_to_the_next_prediction(run, plan: Path, tmp_path: Path) -> None:
     states, soils = tmp_path / "states.csv", tmp_path / "soils.csv"
     assert run("twin", "forces", plan, "-o", states).code == 0
     identified = run("regolith", "infer", states, "--posterior", soils)
@@ -84,7 +82,7 @@ def test_a_posterior_passes_from_forces_to_the_next_prediction(run: Run, plan: P
     assert run("regolith", "infer", states, "--posterior", soils).code == 2  # it exists
 
 
-def test_states_at_a_halt_are_not_valid(run: Run, tmp_path: Path) -> None:
+def test_states_at_a_halt_are_not_valid(run, tmp_path: Path) -> None:
     """Steering in place pulls at wheels without slip: taken as a soil's, such states put its friction at 89 deg."""
     path, states = tmp_path / "plan.toml", tmp_path / "states.csv"
     path.write_text(PLAN + "[[leg]]\nturn_deg = -30\n[[leg]]\nlength_m = 1.0\ncrab_deg = 180\n")
@@ -97,7 +95,7 @@ def test_states_at_a_halt_are_not_valid(run: Run, tmp_path: Path) -> None:
     assert friction["low95"] < 42.0 < friction["high95"] < 60.0
 
 
-def test_fixes_and_interpolation_are_options(run: Run, tmp_path: Path) -> None:
+def test_fixes_and_interpolation_are_options(run, tmp_path: Path) -> None:
     path = tmp_path / "plan.toml"
     path.write_text(PLAN + "[[leg]]\nturn_deg = 30\n[[leg]]\nlength_m = 0.5\n")
     done = run(
@@ -109,7 +107,7 @@ def test_fixes_and_interpolation_are_options(run: Run, tmp_path: Path) -> None:
         assert run("twin", "predict", path, *wrong).code == code
 
 
-def test_a_belief_may_be_the_soil(run: Run, plan: Path, tmp_path: Path) -> None:
+def test_a_belief_may_be_the_soil(run, plan: Path, tmp_path: Path) -> None:
     """Of `predict` and `forces`; broken beliefs are one line, other soils beside it wrong usage."""
     belief = tmp_path / "belief.json"
     belief.write_text(first_belief().to_json())

@@ -4,9 +4,7 @@ import csv
 import dataclasses
 import io
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +12,6 @@ import pytest
 from lunarsci.io.inputs import read_input
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief, with_drive
 from lunarsci.regolith.physics_discrepancy import FIRST
-
-Run = Callable[..., Any]
 
 
 def update(before: SoilBelief, states: str, shift: float, refused: str = "") -> SoilBelief:
@@ -38,7 +34,7 @@ def files(tmp_path: Path) -> tuple[Path, Path]:
     return paths
 
 
-def test_the_drives_and_what_each_moved(run: Run, files: tuple[Path, Path], tmp_path: Path) -> None:
+def test_the_drives_and_what_each_moved(run, files: tuple[Path, Path], tmp_path: Path) -> None:
     picture = tmp_path / "history.png"
     done = run("twin", "history", files[0], "--json", "--plot", picture)
     assert done.code == 0, done.err
@@ -58,7 +54,7 @@ def test_the_drives_and_what_each_moved(run: Run, files: tuple[Path, Path], tmp_
     assert len(rows) == 4 * 8 and rows[8]["drive"] == "1" and rows[0]["states"] == ""
 
 
-def test_a_warning_of_a_drive_stays_with_the_belief(run: Run, short_plan: Path, tmp_path: Path) -> None:
+def test_a_warning_of_a_drive_stays_with_the_belief(run, short_plan: Path, tmp_path: Path) -> None:
     """In the history, in predictions and on the page, with exit code 0, until all is forgotten."""
     said = "one soil explains the positions only with 2.3 times their errors"
     entry = {"states": "1.csv", "sha256": "a" * 64, "plan": "out", "values": 9, "outliers": 0, "chi_square": 9.0}
@@ -78,7 +74,7 @@ def test_a_warning_of_a_drive_stays_with_the_belief(run: Run, short_plan: Path, 
     assert [one["tone"] for one in sections] == ["plain", "go"]
 
 
-def test_what_the_physics_is_off_by_and_what_taught_it(run: Run, files: tuple[Path, Path]) -> None:
+def test_what_the_physics_is_off_by_and_what_taught_it(run, files: tuple[Path, Path]) -> None:
     belief = read_belief(read_input(str(files[0])))
     law = FIRST.after_end(np.array([0.3, 0.0]), 1e-4 * np.eye(2), np.diag([1.0, 0.0]))
     law = law.with_source(states="back.csv", sha256="c" * 64, how="comparison")
@@ -93,7 +89,7 @@ def test_what_the_physics_is_off_by_and_what_taught_it(run: Run, files: tuple[Pa
     assert "effective value" in text and "ground's own" in text
 
 
-def test_another_belief_beside_it(run: Run, files: tuple[Path, Path]) -> None:
+def test_another_belief_beside_it(run, files: tuple[Path, Path]) -> None:
     done = run("twin", "history", files[0], "--against", files[1], "--json")
     found = json.loads(done.out)["result"]["against"]
     assert found["shared_drives"] == 1 and found["bhattacharyya"] > 0
@@ -103,7 +99,7 @@ def test_another_belief_beside_it(run: Run, files: tuple[Path, Path]) -> None:
     assert "the same first 1 drive(s), and are no independent witnesses" in text
 
 
-def test_the_way_back(run: Run, files: tuple[Path, Path], tmp_path: Path) -> None:
+def test_the_way_back(run, files: tuple[Path, Path], tmp_path: Path) -> None:
     back = tmp_path / "back.json"
     done = run("twin", "history", files[0], "--rollback", "1", "--save", back)
     assert done.code == 0 and "after 1 drive(s)" in done.out, done.err
@@ -119,7 +115,7 @@ def test_the_way_back(run: Run, files: tuple[Path, Path], tmp_path: Path) -> Non
     assert run("twin", "history", files[0], "--rollback", "1", "--save", back).code == 2  # it exists
 
 
-def test_older_and_broken_files(run: Run, files: tuple[Path, Path], tmp_path: Path) -> None:
+def test_older_and_broken_files(run, files: tuple[Path, Path], tmp_path: Path) -> None:
     document = json.loads(files[0].read_text())
     document["history"] = [{"states": "old.csv"}, {"states": "older.csv"}]
     files[0].write_text(json.dumps(document))

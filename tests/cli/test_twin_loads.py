@@ -1,16 +1,13 @@
 """`lunarsci twin loads` with uncertain motion and soil, and what it hands on (synthetic drives)."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 from lunarsci.cli import main
 
-Run = Callable[..., Any]
 PLAN = "[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 1.5\ncurvature_per_m = 0.1\n"
 FORCES = ("normal_force_n", "drawbar_pull_n", "lateral_force_n")
 
@@ -42,7 +39,7 @@ def soil(files: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Pa
     return folder
 
 
-def test_telemetry_becomes_forces_with_sigmas_and_a_soil(run: Run, files: dict[str, Path], tmp_path: Path) -> None:
+def test_telemetry_becomes_forces_with_sigmas_and_a_soil(run, files: dict[str, Path], tmp_path: Path) -> None:
     folder, picture = tmp_path / "out", tmp_path / "forces.png"
     start = ("twin", "loads", files["plan"], "--motion", files["motion"], "--states", files["states"])
     done = run(*start, "--draws", 32, "-o", folder, "--plot", picture, "--json")
@@ -64,7 +61,7 @@ def test_telemetry_becomes_forces_with_sigmas_and_a_soil(run: Run, files: dict[s
     assert identified.code == 0, identified.err
 
 
-def test_forces_and_soil_in_turn_leave_a_belief(run: Run, files: dict[str, Path], soil: Path) -> None:
+def test_forces_and_soil_in_turn_leave_a_belief(run, files: dict[str, Path], soil: Path) -> None:
     start = ("twin", "loads", files["plan"], "--motion", files["motion"], "--states", files["states"], "--draws", 16)
     saved = soil / "soil.json"
     turned = json.loads((soil / "result.json").read_text())["result"]["iteration"]
@@ -80,7 +77,7 @@ def test_forces_and_soil_in_turn_leave_a_belief(run: Run, files: dict[str, Path]
     assert "Forces and soil in turn: does not converge" in once.out
 
 
-def test_a_motion_elsewhere_is_beyond_all_soils(run: Run, files: dict[str, Path], soil: Path, tmp_path: Path) -> None:
+def test_a_motion_elsewhere_is_beyond_all_soils(run, files: dict[str, Path], soil: Path, tmp_path: Path) -> None:
     """A belief that knows the soil, and poses shifted to another slope."""
     start = ("twin", "loads", files["plan"], "--draws", 16)
     table = pd.read_csv(files["motion"])
@@ -99,13 +96,13 @@ def test_a_motion_elsewhere_is_beyond_all_soils(run: Run, files: dict[str, Path]
         ("--states", "s.csv", "--save", "b.json"),
     ],
 )
-def test_options_that_would_do_nothing_are_refused(run: Run, options: tuple[str, ...]) -> None:
+def test_options_that_would_do_nothing_are_refused(run, options: tuple[str, ...]) -> None:
     done = run("twin", "loads", "--motion", "m.csv", *options)
     assert done.code == 2 and done.out == "" and options[-2] in " ".join(done.err)
 
 
 def test_a_correlation_without_errors_and_a_plan_beside_commands_are_refused(
-    run: Run, files: dict[str, Path], tmp_path: Path
+    run, files: dict[str, Path], tmp_path: Path
 ) -> None:
     table = pd.read_csv(files["motion"])
     bare = tmp_path / "bare.csv"
@@ -120,7 +117,3 @@ def test_a_correlation_without_errors_and_a_plan_beside_commands_are_refused(
     assert "leave out the plan" in run("twin", "loads", files["plan"], "--motion", bare, "--draws", 16).err[-1]
     bare.write_text("time_s,x_m,y_m,yaw_deg\n0,0,0,0\n1,0.05,0,0\n2,0.1,0,0\n")
     assert "leave it out" in run("twin", "loads", files["plan"], "--motion", bare, "--member", 0).err[-1]
-
-
-def test_a_seed_of_one_drive_is_refused(run: Run) -> None:
-    assert run("twin", "forces", "--seed", "4").code == 2

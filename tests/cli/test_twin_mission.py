@@ -1,10 +1,8 @@
 """`lunarsci twin plan --mission`: for people, for scripts, and what is no mission."""
 
 import json
-from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +12,6 @@ from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.terrain import build_terrain, terrain_bytes
 from lunarsci.twin.plans.plan import read_plan
 
-Run = Callable[..., Any]
 EXAMPLE = Path(__file__).parents[2] / "examples" / "mission.toml"
 QUICK = ("twin", "plan", "-q", "--no-time", "--members", "8")
 
@@ -27,7 +24,7 @@ def belief(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_mission_is_planned_with_all_its_files(run: Run, belief: Path, tmp_path: Path) -> None:
+def test_a_mission_is_planned_with_all_its_files(run, belief: Path, tmp_path: Path) -> None:
     folder = tmp_path / "mission"
     done = run(*QUICK, "--mission", EXAMPLE, "--soil", belief, "--risk", "0.3", "--json", "-o", folder)
     assert done.code == 0, done.err
@@ -56,7 +53,7 @@ def test_a_mission_is_planned_with_all_its_files(run: Run, belief: Path, tmp_pat
     assert driven.code in (0, 3), driven.err
 
 
-def test_the_battery_lasts_for_some_of_the_targets(run: Run, belief: Path) -> None:
+def test_the_battery_lasts_for_some_of_the_targets(run, belief: Path) -> None:
     """Some 90 min at 60 W and 120 Wh: a full battery reaches the rock, one of 60 % only the rim; the Sun helps."""
     asked = (*QUICK, "--mission", EXAMPLE, "--soil", belief, "--risk", "0.3", "--json")
     fates = {}
@@ -73,7 +70,7 @@ def test_the_battery_lasts_for_some_of_the_targets(run: Run, belief: Path) -> No
     assert "left [%]" in table
 
 
-def test_what_does_not_fit_ends_with_code_3(run: Run, belief: Path, tmp_path: Path) -> None:
+def test_what_does_not_fit_ends_with_code_3(run, belief: Path, tmp_path: Path) -> None:
     short = tmp_path / "short.toml"
     short.write_text(EXAMPLE.read_text().replace("time_budget_s = 14400", "time_budget_s = 2400"))
     done = run(*QUICK, "--mission", short, "--soil", belief, "--plot", tmp_path / "m.pdf")
@@ -92,7 +89,7 @@ def test_what_does_not_fit_ends_with_code_3(run: Run, belief: Path, tmp_path: Pa
         ("[[target]]", "[[window]]", 1, "not a key of"),
     ],
 )
-def test_impossible_missions_are_one_line(run: Run, tmp_path: Path, old: str, new: str, code: int, said: str) -> None:
+def test_impossible_missions_are_one_line(run, tmp_path: Path, old: str, new: str, code: int, said: str) -> None:
     file = tmp_path / "mission.toml"
     file.write_text(EXAMPLE.read_text().replace(old, new, 1))
     done = run(*QUICK, "--mission", file)
@@ -100,7 +97,7 @@ def test_impossible_missions_are_one_line(run: Run, tmp_path: Path, old: str, ne
     assert not done.out and len(done.err) <= 4
 
 
-def test_options_that_a_mission_has_in_its_file_are_refused(run: Run, tmp_path: Path) -> None:
+def test_options_that_a_mission_has_in_its_file_are_refused(run, tmp_path: Path) -> None:
     for option in (("--target", "3,1"), ("--start", "1,0,0"), ("--fixes", "0.1,1"), ("--candidates", "3")):
         done = run(*QUICK, "--mission", EXAMPLE, *option)
         assert done.code == 2 and "go together" in " ".join(done.err)
@@ -122,7 +119,7 @@ y_m = 2
 """
 
 
-def test_a_way_beyond_the_reach_of_a_few_arcs_is_driven_by_legs(run: Run, belief: Path, tmp_path: Path) -> None:
+def test_a_way_beyond_the_reach_of_a_few_arcs_is_driven_by_legs(run, belief: Path, tmp_path: Path) -> None:
     file = tmp_path / "far.toml"
     file.write_text(FAR)
     made = ("synthetic", "--extent", "50", "--spacing", "0.25", "--crater-count", "3", "--seed", "1")
@@ -135,7 +132,7 @@ def test_a_way_beyond_the_reach_of_a_few_arcs_is_driven_by_legs(run: Run, belief
     assert len(mission["legs"]) >= 3 and max(leg["length_m"] for leg in mission["legs"]) <= 1.3 * 15.0
 
 
-def test_plans_of_legs_carry_the_coordinate_system_of_the_terrain(run: Run, belief: Path, tmp_path: Path) -> None:
+def test_plans_of_legs_carry_the_coordinate_system_of_the_terrain(run, belief: Path, tmp_path: Path) -> None:
     rasterio = pytest.importorskip("rasterio")
     crs = rasterio.crs.CRS.from_user_input("+proj=stere +lat_0=-85 +lon_0=0 +R=1737400").to_wkt()
     flat = build_terrain("flat", -5.0, -5.0, 0.1, np.zeros((101, 101)), read_soil("longji"), crs=crs)

@@ -1,7 +1,6 @@
 """What an option of `lunarsci twin` says is what is driven; what cannot be used is refused, and the result names it."""
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,6 @@ from lunarsci.rovers import MadeFor, made_for, read_rover
 from lunarsci.twin.ground.soil_map import SoilMap, soil_map_bytes
 from lunarsci.twin.plans.plan import read_plan
 
-Run = Callable[..., Any]
 PLANNED = ("twin", "plan", "synthetic", "--extent", "8", "--spacing", "0.1", "--crater-count", "0", "--roughness", "0")
 SOFT = "stiffness_kpa_m_n = 400.0\nsinkage_exponent = 1.0\ncohesion_pa = 100.0\nfriction_angle_deg = 35.0\n" + (
     "shear_modulus_mm = 17.8\nexternal_friction_angle_deg = 12.4\nlateral_modulus_mm = 20.0\n"
@@ -24,7 +22,7 @@ QUICK = ("--sample", "0.3", "--time-step", "0.2", "--json", "--no-time")
 
 
 @pytest.fixture
-def site(run: Run, tmp_path: Path) -> Path:
+def site(run, tmp_path: Path) -> Path:
     """A folder of `twin terrain` for the default rover, with a plan of 1 m."""
     folder = tmp_path / "site"
     assert run(*PLANNED, "--target", "1,0", "-o", folder, "-q").code == 0
@@ -32,7 +30,7 @@ def site(run: Run, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def small(run: Run, tmp_path: Path) -> Path:
+def small(run, tmp_path: Path) -> Path:
     """The same for another rover."""
     folder = tmp_path / "small"
     assert run(*PLANNED, "--target", "1,0", "--rover", "small-four", "-o", folder, "-q").code == 0
@@ -56,7 +54,7 @@ def tables(provenance: dict[str, Any]) -> set[str]:
     return {table["name"] for table in provenance["tables"]}
 
 
-def test_a_soil_that_is_given_is_driven_whatever_the_terrain_carries(run: Run, site: Path, soft: Path) -> None:
+def test_a_soil_that_is_given_is_driven_whatever_the_terrain_carries(run, site: Path, soft: Path) -> None:
     predict = ("twin", "predict", site / "plan.toml", "--terrain", site / "terrain.npz", *QUICK)
     own, own_provenance = driven(run(*predict))
     done = run(*predict, "--soil", soft)
@@ -72,7 +70,7 @@ def test_a_soil_that_is_given_is_driven_whatever_the_terrain_carries(run: Run, s
     assert any("takes the place of the soil that" in line for line in done.err)
 
 
-def test_where_nobody_says_the_soil_is_the_common_one_and_named(run: Run, short_plan: Path) -> None:
+def test_where_nobody_says_the_soil_is_the_common_one_and_named(run, short_plan: Path) -> None:
     found, provenance = driven(run("twin", "predict", short_plan, *QUICK, "--sweep", "cohesion_pa=100:500:2"))
     assert (found["soil"]["of"], found["soil"]["name"]) == ("default", "longji")
     assert provenance["options"]["soil"] == "longji" and provenance["options"]["rover"] == "yutu2"
@@ -80,7 +78,7 @@ def test_where_nobody_says_the_soil_is_the_common_one_and_named(run: Run, short_
     assert "soils.toml" in tables(provenance)
 
 
-def test_what_the_terrain_lacks_is_filled_in_and_named(run: Run, site: Path, short_plan: Path, tmp_path: Path) -> None:
+def test_what_the_terrain_lacks_is_filled_in_and_named(run, site: Path, short_plan: Path, tmp_path: Path) -> None:
     with np.load(site / "terrain.npz") as archive:
         kept = {key: archive[key] for key in ("x_m", "y_m", "height_m")}
     y = np.linspace(30.0, 40.0, kept["y_m"].size)[:, None] + np.zeros(kept["height_m"].shape)
@@ -93,7 +91,7 @@ def test_what_the_terrain_lacks_is_filled_in_and_named(run: Run, site: Path, sho
     assert "soils.toml" in tables(provenance)
 
 
-def test_forces_simulate_and_terrain_name_the_soil_alike(run: Run, site: Path, soft: Path, tmp_path: Path) -> None:
+def test_forces_simulate_and_terrain_name_the_soil_alike(run, site: Path, soft: Path, tmp_path: Path) -> None:
     on = (site / "plan.toml", "--terrain", site / "terrain.npz")
     for command in (("twin", "forces", *on, *QUICK), ("twin", "simulate", *on, "--json")):
         assert driven(run(*command))[0]["soil"]["of"] == "terrain"
@@ -106,9 +104,7 @@ def test_forces_simulate_and_terrain_name_the_soil_alike(run: Run, site: Path, s
     assert kept["soil"]["of"] == "terrain" and "soils.toml" not in tables(provenance)
 
 
-def test_soils_that_leave_no_room_for_another_are_refused(
-    run: Run, short_plan: Path, soft: Path, tmp_path: Path
-) -> None:
+def test_soils_that_leave_no_room_for_another_are_refused(run, short_plan: Path, soft: Path, tmp_path: Path) -> None:
     belief, soil_map, samples = tmp_path / "b.json", tmp_path / "m.json", tmp_path / "s.csv"
     belief.write_text(first_belief().to_json())
     soil_map.write_bytes(soil_map_bytes(SoilMap(reach_m=0.5)))
@@ -125,7 +121,7 @@ def test_soils_that_leave_no_room_for_another_are_refused(
     assert done.code == 2 and "the truth is one soil" in done.err[0]
 
 
-def test_a_plan_for_another_rover_is_not_driven_by_the_default_one(run: Run, small: Path) -> None:
+def test_a_plan_for_another_rover_is_not_driven_by_the_default_one(run, small: Path) -> None:
     plan = read_plan(small / "plan.toml")
     assert plan.made_for is not None and plan.made_for.rover == "small-four"
     limits = {limit.quantity: limit.limit for limit in plan.limits}
@@ -144,7 +140,7 @@ def test_a_plan_for_another_rover_is_not_driven_by_the_default_one(run: Run, sma
     assert sum("not for Yutu-2" in line for line in done.err) == 2
 
 
-def test_what_differs_in_a_rover_of_the_same_name_is_said(run: Run, small: Path, tmp_path: Path) -> None:
+def test_what_differs_in_a_rover_of_the_same_name_is_said(run, small: Path, tmp_path: Path) -> None:
     """Another file with the name of the rover that a plan was made for."""
     text = read_rover("small-four").text
     on = ("twin", "predict", small / "plan.toml", "--terrain", small / "terrain.npz", *QUICK, "--rover")
@@ -158,7 +154,7 @@ def test_what_differs_in_a_rover_of_the_same_name_is_said(run: Run, small: Path,
         assert any(f"small-four by another version of its file: {says}" in line for line in done.err), done.err
 
 
-def test_the_stand_in_counts_as_named_where_it_is(run: Run, site: Path, tmp_path: Path) -> None:
+def test_the_stand_in_counts_as_named_where_it_is(run, site: Path, tmp_path: Path) -> None:
     """States of another ground: refused where no ground is named, and said where the stand-in is."""
     states = tmp_path / "states.csv"
     states.write_text("time_s,x_m,y_m,yaw_deg,ground\n0.0,0.0,0.0,0.0,there; heights 12345678\n")
@@ -184,14 +180,14 @@ def test_the_record_of_a_rover_knows_it_again() -> None:
 @pytest.mark.parametrize(
     "table", ["made_for = 3", '[made_for]\nrover = "a"', '[made_for]\nrover = 1\nname = "a"\nsha256 = ""']
 )
-def test_a_record_that_is_none_is_one_line(run: Run, short_plan: Path, table: str) -> None:
+def test_a_record_that_is_none_is_one_line(run, short_plan: Path, table: str) -> None:
     text = short_plan.read_text()
     short_plan.write_text(f"{table}\n{text}")
     done = run("twin", "predict", short_plan)
     assert (done.code, done.out, len(done.err)) == (1, "", 1) and "made_for" in done.err[0]
 
 
-def test_limits_of_a_larger_rover_do_not_judge_a_smaller_one(run: Run, site: Path, short_plan: Path) -> None:
+def test_limits_of_a_larger_rover_do_not_judge_a_smaller_one(run, site: Path, short_plan: Path) -> None:
     done = run("twin", "predict", site / "plan.toml", "--rover", "small-four")
     assert done.code == 2 and "sinkage_m 0.05 > 0.025, tilt_deg 20 > 15" in done.err[0]
     done = run("twin", "predict", short_plan, "--rover", "small-four", *QUICK)
@@ -200,7 +196,7 @@ def test_limits_of_a_larger_rover_do_not_judge_a_smaller_one(run: Run, site: Pat
     assert any("has no [limits]" in line for line in done.err)
 
 
-def test_a_terrain_that_was_looked_at_for_another_rover_says_so(run: Run, small: Path, short_plan: Path) -> None:
+def test_a_terrain_that_was_looked_at_for_another_rover_says_so(run, small: Path, short_plan: Path) -> None:
     done = run("twin", "terrain", small / "terrain.npz", "--json")
     assert driven(done)[0]["made_for"]["terrain"]["rover"] == "small-four"
     assert any("not for Yutu-2" in line for line in done.err)
@@ -218,24 +214,24 @@ def test_a_terrain_that_was_looked_at_for_another_rover_says_so(run: Run, small:
         (("update", "states.csv", "--forget", "0.2"), "--forget has nothing to forget"),
     ],
 )
-def test_options_that_would_do_nothing_are_refused(run: Run, arguments: tuple[str, ...], says: str) -> None:
+def test_options_that_would_do_nothing_are_refused(run, arguments: tuple[str, ...], says: str) -> None:
     done = run("twin", *arguments)
     assert (done.code, done.out, len(done.err)) == (2, "", 1) and says in done.err[0]
 
 
-def test_fixes_need_a_leg_after_them(run: Run, short_plan: Path) -> None:
+def test_fixes_need_a_leg_after_them(run, short_plan: Path) -> None:
     done = run("twin", "predict", short_plan, "--fixes", "0.1,0.5")
     assert (done.code, done.out, len(done.err)) == (2, "", 1) and "has only one" in done.err[0]
 
 
-def test_a_seed_that_draws_nothing_is_said(run: Run, short_plan: Path) -> None:
+def test_a_seed_that_draws_nothing_is_said(run, short_plan: Path) -> None:
     grid = ("twin", "predict", short_plan, "--sweep", "cohesion_pa=100:500:2", *QUICK)
     idle, drawn = run(*grid, "--seed", "3"), run(*grid, "--seed", "3", "--members", "2")
     assert any("the seed has nothing to draw" in line for line in idle.err) and drawn.err == []
     assert [driven(done)[1]["seed"] for done in (idle, drawn)] == [None, 3]
 
 
-def test_gravity_is_an_option_and_stands_in_the_result(run: Run, tmp_path: Path) -> None:
+def test_gravity_is_an_option_and_stands_in_the_result(run, tmp_path: Path) -> None:
     """A rover on Earth weighs six times as much; its wheels carry that."""
     plan = tmp_path / "plan.toml"
     plan.write_text('name = "a"\n[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 0.6\n')
@@ -249,7 +245,7 @@ def test_gravity_is_an_option_and_stands_in_the_result(run: Run, tmp_path: Path)
     assert wrong.code == 2 and "--gravity" in wrong.err[0] and "moon, mars, earth" in wrong.err[0]
 
 
-def test_heights_in_km_are_asked_about_and_an_option_answers(run: Run, tmp_path: Path) -> None:
+def test_heights_in_km_are_asked_about_and_an_option_answers(run, tmp_path: Path) -> None:
     """A slope of 12 deg whose heights are in km without a word of it: 12 m rise to 12 mm, and the drive seems level."""
     plan, ground = tmp_path / "plan.toml", tmp_path / "slope.asc"
     start = "[start]\nx_m = 10.0\ny_m = 10.0\n"
@@ -272,7 +268,7 @@ def test_heights_in_km_are_asked_about_and_an_option_answers(run: Run, tmp_path:
         assert found == pytest.approx(tilt, abs=1.0)
 
 
-def test_unknown_clearance_is_null_in_json(run: Run, tmp_path: Path) -> None:
+def test_unknown_clearance_is_null_in_json(run, tmp_path: Path) -> None:
     """A hole between the wheels: they have ground all the way, and the belly does not."""
     plan, ground = tmp_path / "plan.toml", tmp_path / "hole.csv"
     plan.write_text('name = "a"\n[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 0.4\n')

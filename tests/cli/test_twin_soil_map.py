@@ -1,20 +1,16 @@
 """`lunarsci twin update --save-map` and `twin predict --soil`: soil by place, from drive to drive."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from lunarsci.regolith.belief import first_belief
 
-Run = Callable[..., Any]
-
 
 @pytest.mark.slow
-def test_a_map_goes_from_drive_to_drive(run: Run, short_plan: Path, short_states: Path, tmp_path: Path) -> None:
+def test_a_map_goes_from_drive_to_drive(run, short_plan: Path, short_states: Path, tmp_path: Path) -> None:
     soil_map, again, layers = tmp_path / "map.json", tmp_path / "again.json", tmp_path / "layers.npz"
     update = ("twin", "update", short_states, "--plan", short_plan, "--particles", "32", "-q")
     files = ("--save-map", soil_map, "--save-terrain", layers, "--correlation", "3", "--plot", tmp_path / "u.png")
@@ -41,7 +37,7 @@ def test_a_map_goes_from_drive_to_drive(run: Run, short_plan: Path, short_states
     assert both.code == 2 and "give one" in " ".join(both.err)
 
 
-def test_options_of_a_map_are_checked_before_anything_is_driven(run: Run, short_plan: Path, tmp_path: Path) -> None:
+def test_options_of_a_map_are_checked_before_anything_is_driven(run, short_plan: Path, tmp_path: Path) -> None:
     text = tmp_path / "states.csv"
     text.write_text("time_s,wheel,sinkage_m\n1,FL,0.01\n")
     (tmp_path / "b.json").write_text(first_belief().to_json())

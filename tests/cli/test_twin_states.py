@@ -1,9 +1,7 @@
 """`lunarsci twin simulate` and `lunarsci twin states`: there and back, on made-up drives."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,7 +13,6 @@ from lunarsci.twin.assimilation.residuals import pace_of, read_record
 from lunarsci.twin.plans.plan import read_plan
 from lunarsci.twin.rover import build_rover
 
-Run = Callable[..., Any]
 PLAN = "[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 2.5\ncurvature_per_m = 0.15\n"
 
 
@@ -35,7 +32,7 @@ def sent(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "drive"
 
 
-def test_a_made_up_drive_is_marked_and_repeatable(run: Run, plan: Path, sent: Path, tmp_path: Path) -> None:
+def test_a_made_up_drive_is_marked_and_repeatable(run, plan: Path, sent: Path, tmp_path: Path) -> None:
     again = tmp_path / "again"
     assert run("twin", "simulate", plan, "-o", again, "-q").code == 0
     for name in ("telemetry.csv", "track.csv", "truth.csv"):
@@ -48,7 +45,7 @@ def test_a_made_up_drive_is_marked_and_repeatable(run: Run, plan: Path, sent: Pa
     assert result["schema"] == "lunarsci/twin-simulate/1" and result["result"]["synthetic"] is True
 
 
-def test_from_telemetry_to_states_and_on(run: Run, plan: Path, sent: Path, tmp_path: Path) -> None:
+def test_from_telemetry_to_states_and_on(run, plan: Path, sent: Path, tmp_path: Path) -> None:
     found, picture = tmp_path / "found", tmp_path / "states.png"
     done = run(
         *("twin", "states", sent / "telemetry.csv", plan, "--track", sent / "track.csv"),
@@ -106,7 +103,7 @@ def test_from_telemetry_to_states_and_on(run: Run, plan: Path, sent: Path, tmp_p
     assert not any("columns not used" in line for line in identified.err)
 
 
-def test_what_is_found_is_listed_and_doubt_is_exit_3(run: Run, plan: Path, sent: Path, tmp_path: Path) -> None:
+def test_what_is_found_is_listed_and_doubt_is_exit_3(run, plan: Path, sent: Path, tmp_path: Path) -> None:
     table = pd.read_csv(sent / "telemetry.csv", comment="#")
     gap = table[(table["time_s"] < 15) | (table["time_s"] > 30)]
     gap.to_csv(tmp_path / "gap.csv", index=False)
@@ -126,7 +123,7 @@ def test_what_is_found_is_listed_and_doubt_is_exit_3(run: Run, plan: Path, sent:
 
 
 @pytest.mark.parametrize("off", [0.0, 0.03, 0.07, 0.11])
-def test_wheels_that_turn_otherwise_than_planned_are_said(run: Run, sent: Path, tmp_path: Path, off: float) -> None:
+def test_wheels_that_turn_otherwise_than_planned_are_said(run, sent: Path, tmp_path: Path, off: float) -> None:
     """The plan is as much slower than what was driven as was planted; states of the same wheels keep their slip."""
     plan, rover = tmp_path / "slower.toml", build_rover("yutu2")
     plan.write_text(PLAN.replace("0.05", f"{0.05 / (1.0 + off):.6f}"))
@@ -144,7 +141,7 @@ def test_wheels_that_turn_otherwise_than_planned_are_said(run: Run, sent: Path, 
     assert told == pytest.approx(0.05, abs=2e-4) and ("r_s / r" in again.remedy) == (off == 0.03)
 
 
-def test_a_plan_of_the_shells_speed_is_told_from_any_other(run: Run, sent: Path, tmp_path: Path) -> None:
+def test_a_plan_of_the_shells_speed_is_told_from_any_other(run, sent: Path, tmp_path: Path) -> None:
     """Grousers make r_s larger than the wheel; a plan slower by just that is told so, and slip says which radius."""
     plan = tmp_path / "shell.toml"
     wheel = build_rover("yutu2").wheel
@@ -155,7 +152,7 @@ def test_a_plan_of_the_shells_speed_is_told_from_any_other(run: Run, sent: Path,
     assert f"rolling radius r_s = {1e3 * wheel.shearing_radius_m:.4g} mm" in done.out
 
 
-def test_telemetry_comes_from_stdin_too(run: Run, sent: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_telemetry_comes_from_stdin_too(run, sent: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import io
     import sys
 
@@ -165,7 +162,7 @@ def test_telemetry_comes_from_stdin_too(run: Run, sent: Path, monkeypatch: pytes
 
 
 def test_positions_from_elsewhere_take_the_place_of_those_in_the_telemetry(
-    run: Run, plan: Path, sent: Path, tmp_path: Path
+    run, plan: Path, sent: Path, tmp_path: Path
 ) -> None:
     """The same positions in a file of their own give the same states; at times between rows nearly so."""
     table = pd.read_csv(sent / "telemetry.csv", comment="#")
@@ -196,7 +193,7 @@ def test_positions_from_elsewhere_take_the_place_of_those_in_the_telemetry(
     assert done.code == 3 and any("not within the times of the telemetry" in line for line in done.err)
 
 
-def test_the_ground_after_the_drive_is_a_track(run: Run, plan: Path, sent: Path, tmp_path: Path) -> None:
+def test_the_ground_after_the_drive_is_a_track(run, plan: Path, sent: Path, tmp_path: Path) -> None:
     """A ground that lies 9 mm lower throughout: every wheel that a depth belongs to sank 9 mm."""
     assert run("twin", "terrain", "synthetic-longji", "-o", tmp_path / "ground", "-q").code == 0
     import numpy as np
@@ -212,13 +209,13 @@ def test_the_ground_after_the_drive_is_a_track(run: Run, plan: Path, sent: Path,
     assert deep and deep == pytest.approx([0.009] * len(deep), abs=1e-5)
 
 
-def test_without_a_track_or_a_plan_it_is_said(run: Run, sent: Path) -> None:
+def test_without_a_track_or_a_plan_it_is_said(run, sent: Path) -> None:
     done = run("twin", "states", sent / "telemetry.csv")
     assert done.code == 0 and "give the depth of the track with --track" in done.out
     assert "not compared with a plan" in done.out
 
 
-def test_a_plan_with_fixes_is_driven_with_its_halts(run: Run, plan: Path, tmp_path: Path) -> None:
+def test_a_plan_with_fixes_is_driven_with_its_halts(run, plan: Path, tmp_path: Path) -> None:
     plan.write_text(PLAN + "[[leg]]\nlength_m = 1.5\n[fixes]\nposition_sigma_m = 0.05\nheading_sigma_deg = 0.5\n")
     folder = tmp_path / "drive"
     done = run("twin", "simulate", plan, "-o", folder, "--json", "-q")

@@ -3,13 +3,10 @@
 import csv
 import io
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-Run = Callable[..., Any]
 PLAN = "[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 1.0\n"
 
 
@@ -20,7 +17,7 @@ def plan(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_trade_as_table_csv_json_and_pages(run: Run, plan: Path, tmp_path: Path) -> None:
+def test_a_trade_as_table_csv_json_and_pages(run, plan: Path, tmp_path: Path) -> None:
     """Two radii, of which the second does not fit, and two masses; the lighter rover needs less work."""
     vary = ["--vary", "wheel.radius_m=0.15:0.3:2", "--vary", "mass.body_kg=90:120:2", "--sample", "0.25"]
     pages = tmp_path / "trade.pdf"
@@ -38,7 +35,7 @@ def test_a_trade_as_table_csv_json_and_pages(run: Run, plan: Path, tmp_path: Pat
     assert run("twin", "sweep", plan, *vary, "--field", "designs.0.kept_share").out.strip() == "1.0"
 
 
-def test_samples_of_the_ranges_and_several_plans(run: Run, plan: Path, tmp_path: Path) -> None:
+def test_samples_of_the_ranges_and_several_plans(run, plan: Path, tmp_path: Path) -> None:
     other = tmp_path / "other.toml"
     other.write_text(PLAN.replace("1.0", "0.5"))
     arguments = ["--vary", "wheel.width_m=0.1:0.2:2", "--designs", "3", "--seed", "7", "--json", "--no-time"]
@@ -58,19 +55,19 @@ def test_samples_of_the_ranges_and_several_plans(run: Run, plan: Path, tmp_path:
         (["--vary", "mass.body_kg=90:120:2", "--designs", "0"], "designs"),
     ],
 )
-def test_what_is_impossible_is_wrong_usage_in_one_line(run: Run, plan: Path, arguments: list[str], words: str) -> None:
+def test_what_is_impossible_is_wrong_usage_in_one_line(run, plan: Path, arguments: list[str], words: str) -> None:
     done = run("twin", "sweep", plan, *arguments)
     assert (done.code, done.out) == (2, "") and words in " ".join(done.err), done.err
 
 
-def test_a_mission_on_which_every_design_is_impossible_leaves_with_3(run: Run, plan: Path) -> None:
+def test_a_mission_on_which_every_design_is_impossible_leaves_with_3(run, plan: Path) -> None:
     done = run("twin", "sweep", plan, "--vary", "wheel.radius_m=0.3:0.4:2")
     assert done.code == 3 and "no design is possible" in " ".join(done.err) and "do not fit" in done.out
     missing = run("twin", "sweep", plan.with_name("none.toml"), "--vary", "wheel.radius_m=0.1:0.2:2")
     assert (missing.code, missing.out) == (1, "")
 
 
-def test_a_battery_counts_where_its_charge_is_given(run: Run, tmp_path: Path) -> None:
+def test_a_battery_counts_where_its_charge_is_given(run, tmp_path: Path) -> None:
     """66 W and the work of the wheels for 60 s: 1.2 Wh and more, out of 1 or 2 Wh."""
     plan = tmp_path / "plan.toml"
     plan.write_text("[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 3.0\n")

@@ -3,9 +3,7 @@
 import csv
 import io
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,13 +13,12 @@ from lunarsci.twin.jobs.plan_request import places_of
 from lunarsci.twin.jobs.requests import PlanRequest
 from lunarsci.twin.plans.plan import read_plan
 
-Run = Callable[..., Any]
 TERRAIN, PLAN = ("twin", "terrain"), ("twin", "plan")
 COARSE = ("--spacing", "0.1")
 TARGET = ("--target", "9.369,1.957", "--max-slope", "11")
 
 
-def test_a_terrain_is_described(run: Run) -> None:
+def test_a_terrain_is_described(run) -> None:
     done = run(*TERRAIN, "--json", "--no-time")
     assert (done.code, done.err) == (0, [])
     document = json.loads(done.out)
@@ -41,7 +38,7 @@ def test_a_terrain_is_described(run: Run) -> None:
     assert any("smaller than two spacings" in note for note in result["notes"])
 
 
-def test_table_and_csv_show_the_same_maps(run: Run) -> None:
+def test_table_and_csv_show_the_same_maps(run) -> None:
     rows = list(csv.DictReader(io.StringIO(run(*TERRAIN, *COARSE, "--csv").out)))
     assert [row["quantity"] for row in rows] == ["slope_deg", "roughness_m", "step_m"]
     table = run(*TERRAIN, *COARSE).out
@@ -50,7 +47,7 @@ def test_table_and_csv_show_the_same_maps(run: Run) -> None:
 
 
 @pytest.mark.slow
-def test_a_planned_path_can_be_driven(run: Run, tmp_path: Path) -> None:
+def test_a_planned_path_can_be_driven(run, tmp_path: Path) -> None:
     folder, picture = tmp_path / "site", tmp_path / "site.png"
     done = run(*PLAN, *COARSE, *TARGET, "-o", folder, "--plot", picture, "--geotiff", "--json")
     assert done.code == 0, done.err
@@ -68,7 +65,7 @@ def test_a_planned_path_can_be_driven(run: Run, tmp_path: Path) -> None:
     assert (driven.code, driven.out) == (0, "go\n")
 
 
-def test_a_soil_that_nobody_named_is_drawn_from_the_priors(run: Run, tmp_path: Path) -> None:
+def test_a_soil_that_nobody_named_is_drawn_from_the_priors(run, tmp_path: Path) -> None:
     plan, ground = tmp_path / "plan.toml", tmp_path / "flat.csv"
     plan.write_text('name = "short"\n[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 0.3\n')
     nodes = ((0.25 * x, 0.25 * y) for x in range(-8, 13) for y in range(-8, 9))
@@ -82,7 +79,7 @@ def test_a_soil_that_nobody_named_is_drawn_from_the_priors(run: Run, tmp_path: P
     assert "soil: that of longji, assumed: none is given" in " ".join(forces.out.split())
 
 
-def test_the_maps_are_in_both_files(run: Run, tmp_path: Path) -> None:
+def test_the_maps_are_in_both_files(run, tmp_path: Path) -> None:
     rasterio = pytest.importorskip("rasterio")
     assert run(*TERRAIN, *COARSE, "-o", tmp_path / "d", "--geotiff", "-q").code == 0
     with np.load(tmp_path / "d" / "maps.npz") as maps, rasterio.open(tmp_path / "d" / "maps.tif") as raster:
@@ -93,7 +90,7 @@ def test_the_maps_are_in_both_files(run: Run, tmp_path: Path) -> None:
         assert raster.read(1)[row, column] == maps["slope_deg"][50, 30]
 
 
-def test_a_file_is_read_and_its_hash_kept(run: Run, tmp_path: Path) -> None:
+def test_a_file_is_read_and_its_hash_kept(run, tmp_path: Path) -> None:
     assert run(*TERRAIN, *COARSE, "--rocks", "0.01", "-o", tmp_path / "d", "-q").code == 0
     file = tmp_path / "d" / "terrain.npz"
     one, two = (json.loads(run(*TERRAIN, *given, "--json").out) for given in ([file], [*COARSE, "--rocks", "0.01"]))
@@ -103,7 +100,7 @@ def test_a_file_is_read_and_its_hash_kept(run: Run, tmp_path: Path) -> None:
     assert any("Golombek" in source for source in two["provenance"]["sources"])
 
 
-def test_synthetic_ground_has_its_options(run: Run) -> None:
+def test_synthetic_ground_has_its_options(run) -> None:
     options = ("--extent", "8", "--spacing", "0.1", "--ground-slope", "12", "--crater-count", "0", "--roughness", "0")
     assert float(run(*TERRAIN, "synthetic", *options, "--field", "maps.slope_deg.p50").out) == pytest.approx(
         12.0, abs=1e-3
@@ -127,7 +124,7 @@ def test_synthetic_ground_has_its_options(run: Run) -> None:
         ["file.npz", "--rocks", "0.01"],
     ],
 )
-def test_wrong_usage_is_one_line(run: Run, arguments: list[str]) -> None:
+def test_wrong_usage_is_one_line(run, arguments: list[str]) -> None:
     wrong = run(*(PLAN if arguments[0] in ("--target", "--start") else TERRAIN), *arguments)
     assert (wrong.code, wrong.out, len(wrong.err)) == (2, "", 1), wrong
     assert "--turning-radius" not in arguments or "give 0.5 m or more" in wrong.err[0]
@@ -147,7 +144,7 @@ def test_wrong_usage_is_one_line(run: Run, arguments: list[str]) -> None:
     ],
 )
 def test_what_cannot_be_done_is_one_line_and_nothing_is_written(
-    run: Run, tmp_path: Path, arguments: list[str], says: str
+    run, tmp_path: Path, arguments: list[str], says: str
 ) -> None:
     ground = [] if arguments[0].endswith(".npz") else COARSE
     failed = run(*(PLAN if arguments[0] == "--target" else TERRAIN), *ground, *arguments, "-o", tmp_path / "d", "-q")
@@ -156,7 +153,7 @@ def test_what_cannot_be_done_is_one_line_and_nothing_is_written(
     assert not (tmp_path / "d").exists()
 
 
-def test_a_plan_starts_where_the_last_drive_ended(run: Run, tmp_path: Path) -> None:
+def test_a_plan_starts_where_the_last_drive_ended(run, tmp_path: Path) -> None:
     """The last row by time of a measured drive; of a prediction the middle of the ends: 179 and -177 deg give 181."""
     folder = tmp_path / "states"
     folder.mkdir()

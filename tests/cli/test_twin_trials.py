@@ -6,14 +6,11 @@ import json
 import os
 import re
 import subprocess
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from made_trials import HUSKY, ROSEY, made_drive, write_captured, write_run
 
-Run = Callable[..., Any]
 PAGE = Path(__file__).parents[2] / "docs/howto/public-drives.md"
 SHORT = {"speed_m_s": 0.08, "seconds": 18.0, "rate_hz": 5.0, **ROSEY}
 
@@ -29,7 +26,7 @@ def trials(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_two_layouts_are_scored_by_one_command(run: Run, trials: Path, tmp_path: Path) -> None:
+def test_two_layouts_are_scored_by_one_command(run, trials: Path, tmp_path: Path) -> None:
     (trials / "Trial_Data/Trial_9").mkdir(exist_ok=True)
     bad = trials / "Trial_Data/Trial_9/Processed_Data.csv"
     bad.write_text("time_s,pos_x\n0,0\n")
@@ -57,7 +54,7 @@ def test_two_layouts_are_scored_by_one_command(run: Run, trials: Path, tmp_path:
     assert str(trials / "run1/gps-utm18t.txt") in used and len(used) == 5
 
 
-def test_a_table_has_a_row_for_each_trial(run: Run, trials: Path) -> None:
+def test_a_table_has_a_row_for_each_trial(run, trials: Path) -> None:
     one = trials / "Trial_Data/5.0_Straight_0.0"
     done = run("twin", "compare", one, "--csv", "--soil", "longji", "-q")
     assert done.code == 0, done.err
@@ -69,7 +66,7 @@ def test_a_table_has_a_row_for_each_trial(run: Run, trials: Path) -> None:
     assert "wheels: rms" in text.out and "1 of the trials are synthetic" in text.out
 
 
-def test_telemetry_of_ones_own_is_a_trial(run: Run, tmp_path: Path) -> None:
+def test_telemetry_of_ones_own_is_a_trial(run, tmp_path: Path) -> None:
     plan = tmp_path / "plan.toml"
     plan.write_text("[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 1.5\n")
     assert run("twin", "simulate", plan, "-o", tmp_path / "sent", "-q").code == 0
@@ -82,7 +79,7 @@ def test_telemetry_of_ones_own_is_a_trial(run: Run, tmp_path: Path) -> None:
     assert row["way_m"] == pytest.approx(1.5, abs=0.02)
 
 
-def test_what_does_not_belong_together_is_refused(run: Run, trials: Path, tmp_path: Path) -> None:
+def test_what_does_not_belong_together_is_refused(run, trials: Path, tmp_path: Path) -> None:
     done = run("twin", "compare", trials, "--plan", "plan.toml")
     assert (done.code, done.out) == (2, "") and "--plan belongs to a prediction" in done.err[-1]
     done = run("twin", "compare", trials, "--save", tmp_path / "belief.json")

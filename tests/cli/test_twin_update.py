@@ -2,7 +2,6 @@
 
 import json
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +14,9 @@ from lunarsci.provenance import sha256
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief, with_drive
 from lunarsci.twin.telemetry.sinkage import read_track
 
-Run = Callable[..., Any]
-
 
 @pytest.mark.slow
-def test_a_belief_goes_from_drive_to_drive(run: Run, short_plan: Path, short_states: Path, tmp_path: Path) -> None:
+def test_a_belief_goes_from_drive_to_drive(run, short_plan: Path, short_states: Path, tmp_path: Path) -> None:
     belief, again = tmp_path / "belief.json", tmp_path / "again.json"
     update = ("twin", "update", short_states, "--plan", short_plan, "--particles", "32")
     done = run(*update, "--save", belief, "--json")
@@ -53,9 +50,7 @@ def test_a_belief_goes_from_drive_to_drive(run: Run, short_plan: Path, short_sta
 
 
 @pytest.mark.slow
-def test_other_ground_than_the_believed_is_warned_of(
-    run: Run, short_plan: Path, short_states: Path, tmp_path: Path
-) -> None:
+def test_other_ground_than_the_believed_is_warned_of(run, short_plan: Path, short_states: Path, tmp_path: Path) -> None:
     """A belief as sure as after many drives, of another soil: the exit code stays 0, and the belief keeps it."""
     first = first_belief()
     away = first.mean + 2.5 * np.sqrt(np.diag(first.covariance))
@@ -71,7 +66,7 @@ def test_other_ground_than_the_believed_is_warned_of(
     assert read_belief(read_input(str(new))).caution == ""
 
 
-def test_the_doubt_of_a_drive_stays_with_the_belief_to_the_report(run: Run, tmp_path: Path) -> None:
+def test_the_doubt_of_a_drive_stays_with_the_belief_to_the_report(run, tmp_path: Path) -> None:
     """Wheels 7 % faster than the plan that is named, no sinkage, positions alone: picture, belief, and its doubt."""
     driven, plan = tmp_path / "driven.toml", tmp_path / "plan.toml"
     for path, speed in ((driven, 0.05), (plan, 0.05 / 1.07)):
@@ -127,7 +122,7 @@ def test_the_doubt_of_a_drive_stays_with_the_belief_to_the_report(run: Run, tmp_
     assert with_drive(later, later, {"states": "c.csv", "doubt": ""}, forgotten=1.0).doubt == ""
 
 
-def test_ruts_are_driven_as_options_and_belief_say(run: Run, short_plan: Path, tmp_path: Path) -> None:
+def test_ruts_are_driven_as_options_and_belief_say(run, short_plan: Path, tmp_path: Path) -> None:
     """Asked for, met by the belief's last drive, or left by a plan that was driven before."""
     quick = ("--time-step", "0.2", "--json")
     met, none = (tmp_path / name for name in ("met.json", "none.json"))
@@ -164,7 +159,7 @@ def test_ruts_are_driven_as_options_and_belief_say(run: Run, short_plan: Path, t
     ],
 )
 def test_bad_states_are_one_line_that_says_what_is_wrong(
-    run: Run, short_plan: Path, tmp_path: Path, text: str, says: str
+    run, short_plan: Path, tmp_path: Path, text: str, says: str
 ) -> None:
     path = tmp_path / "states.csv"
     path.write_text(text)
@@ -172,7 +167,7 @@ def test_bad_states_are_one_line_that_says_what_is_wrong(
     assert done.code == 1 and says in done.err[-1] and done.out == ""
 
 
-def test_positions_need_their_errors(run: Run, short_plan: Path, tmp_path: Path) -> None:
+def test_positions_need_their_errors(run, short_plan: Path, tmp_path: Path) -> None:
     (tmp_path / "states.csv").write_text("time_s,wheel,sinkage_m\n1,FL,0.01\n")
     (tmp_path / "fixes.csv").write_text("time_s,x_m,y_m\n1,0,0\n")
     done = run("twin", "update", tmp_path / "states.csv", "--plan", short_plan, "--positions", tmp_path / "fixes.csv")
@@ -181,7 +176,7 @@ def test_positions_need_their_errors(run: Run, short_plan: Path, tmp_path: Path)
     assert done.code == 1 and "no belief; give one of" in done.err[0]
 
 
-def test_states_and_beliefs_are_not_taken_for_another_rover(run: Run, short_plan: Path, tmp_path: Path) -> None:
+def test_states_and_beliefs_are_not_taken_for_another_rover(run, short_plan: Path, tmp_path: Path) -> None:
     """Four wheels of six, and nobody says whose they are; and a belief that another rover learned."""
     four = "".join(f"{t},{name},0.01\n" for t in range(1, 9) for name in ("FL", "FR", "RL", "RR"))
     path, belief = tmp_path / "states.csv", tmp_path / "b.json"
@@ -209,7 +204,7 @@ def test_states_and_beliefs_are_not_taken_for_another_rover(run: Run, short_plan
     assert elsewhere.code == 2 and "was learned on measured ground" in elsewhere.err[-1]
 
 
-def test_nothing_is_taken_from_the_wrong_ground(run: Run, short_plan: Path, tmp_path: Path) -> None:
+def test_nothing_is_taken_from_the_wrong_ground(run, short_plan: Path, tmp_path: Path) -> None:
     """States, plan, start and belief of one terrain, and nobody, or somebody, names the ground."""
     for name, seed in (("here", 1), ("there", 2)):
         grid = ("--extent", "8", "--spacing", "0.1", "--seed", seed, "--crater-count", "0")
@@ -256,7 +251,7 @@ def test_nothing_is_taken_from_the_wrong_ground(run: Run, short_plan: Path, tmp_
     assert any("with other heights than here" in line for line in done.err), done.err
 
 
-def test_a_start_in_doubt_and_a_plan_that_was_not_found(run: Run, tmp_path: Path) -> None:
+def test_a_start_in_doubt_and_a_plan_that_was_not_found(run, tmp_path: Path) -> None:
     folder, way = tmp_path / "found", tmp_path / "way"
     folder.mkdir()
     (folder / "motion.csv").write_text(
@@ -274,7 +269,7 @@ def test_a_start_in_doubt_and_a_plan_that_was_not_found(run: Run, tmp_path: Path
     assert "no such file" in run("twin", "predict", way / "other.toml").err[-1]
 
 
-def test_plan_refuses_a_belief_of_another_rover_as_predict_does(run: Run, tmp_path: Path) -> None:
+def test_plan_refuses_a_belief_of_another_rover_as_predict_does(run, tmp_path: Path) -> None:
     first, belief = first_belief(), tmp_path / "b.json"
     entry = {"states": "a.csv", "rover": "small-four; wheels 75 x 60 mm", "synthetic": True, "refused": ""}
     belief.write_text(with_drive(first, first, entry).to_json())
@@ -298,7 +293,7 @@ def test_plan_refuses_a_belief_of_another_rover_as_predict_does(run: Run, tmp_pa
     assert asked.code in (0, 3) and any("was learned with 'small-four" in line for line in asked.err)
 
 
-def test_the_track_of_a_narrow_wheel_is_read_back(run: Run, tmp_path: Path) -> None:
+def test_the_track_of_a_narrow_wheel_is_read_back(run, tmp_path: Path) -> None:
     """Wheels of 60 mm, recorded every 0.2 m: the track has points between, for every state."""
     plan, sent, found = tmp_path / "plan.toml", tmp_path / "sent", tmp_path / "found"
     plan.write_text("[drive]\nspeed_m_s = 0.03\n[[leg]]\nlength_m = 2.0\n")
@@ -312,7 +307,7 @@ def test_the_track_of_a_narrow_wheel_is_read_back(run: Run, tmp_path: Path) -> N
     assert table["sinkage_m"][table["wheel"].isin(["RL", "RR"]) & table["valid"]].notna().all()
 
 
-def test_a_first_drive_is_predicted_on_the_priors(run: Run, short_plan: Path, tmp_path: Path) -> None:
+def test_a_first_drive_is_predicted_on_the_priors(run, short_plan: Path, tmp_path: Path) -> None:
     """By name, and from a file of them; a path alone is looked for on one soil."""
     prior = tmp_path / "prior.toml"
     assert run("template", "prior", "-o", prior).code == 0

@@ -4,7 +4,6 @@ import csv
 import io
 import json
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ import pytest
 from lunarsci.spectra.abundance.end_members import embedded_end_members
 from lunarsci.spectra.abundance.result import Abundance, MineralFraction, share_pages
 
-Run = Callable[..., Any]
 NM = np.arange(450.0, 2451.0, 10.0)
 SHARES = {"a": (0.8, 0.2), "b": (0.6, 0.4), "c": (0.35, 0.65), "d": (0.1, 0.9)}
 NAMED = ("--assemblage", "OL-OPX", "--quiet")
@@ -35,13 +33,13 @@ def mixtures(tmp_path_factory: pytest.TempPathFactory, once: None) -> Path:
     return written(tmp_path_factory.mktemp("mixtures") / "mixtures.csv", columns)
 
 
-def found(run: Run, *arguments: object) -> dict[str, Any]:
+def found(run, *arguments: object) -> dict[str, Any]:
     done = run("spectra", "unmix", *arguments, "--json")
     assert done.code == 0, done.err
     return {record["id"]: record["abundance"] for record in json.loads(done.out)["result"]["spectra"]}
 
 
-def test_all_four_minerals_are_weighed_where_none_is_named(run: Run, mixtures: Path) -> None:
+def test_all_four_minerals_are_weighed_where_none_is_named(run, mixtures: Path) -> None:
     held = []
     for id, shares in found(run, mixtures, "--quiet").items():
         four = [shares[name] for name in ("olivine", "orthopyroxene", "clinopyroxene", "plagioclase")]
@@ -55,7 +53,7 @@ def test_all_four_minerals_are_weighed_where_none_is_named(run: Run, mixtures: P
     assert all(shares["learned"] < 1.0 and "plagioclase" not in shares for shares in named.values())
 
 
-def test_the_prior_of_returned_rocks_is_named_and_its_modes_are_cited(run: Run, mixtures: Path) -> None:
+def test_the_prior_of_returned_rocks_is_named_and_its_modes_are_cited(run, mixtures: Path) -> None:
     done = run("spectra", "unmix", mixtures, "--kind", "solid-rock", "--prior", "lunar-rocks", "--json", "--quiet")
     document = json.loads(done.out)
     for record in document["result"]["spectra"]:
@@ -68,7 +66,7 @@ def test_the_prior_of_returned_rocks_is_named_and_its_modes_are_cited(run: Run, 
     assert {(shares["prior"], shares["returned"]) for shares in plain.values()} == {("powders", None)}
 
 
-def test_spectra_together_are_found_and_differ_from_one_by_one(run: Run, mixtures: Path) -> None:
+def test_spectra_together_are_found_and_differ_from_one_by_one(run, mixtures: Path) -> None:
     together = found(run, mixtures, *NAMED, "--together")
     alone = found(run, mixtures, *NAMED)
     errors = [abs(together[id]["olivine"]["fraction"] - share) for id, (share, _) in SHARES.items()]
@@ -78,7 +76,7 @@ def test_spectra_together_are_found_and_differ_from_one_by_one(run: Run, mixture
     assert order == sorted(order, reverse=True)
 
 
-def test_known_modes_sharpen_the_others(run: Run, mixtures: Path, tmp_path: Path) -> None:
+def test_known_modes_sharpen_the_others(run, mixtures: Path, tmp_path: Path) -> None:
     known = tmp_path / "known.csv"
     known.write_text("id,olivine,vol_opx\na,0.8,0.2\nc,,\nd,0.1,0.9\n")
     told = found(run, mixtures, *NAMED, "--known", known)
@@ -91,7 +89,7 @@ def test_known_modes_sharpen_the_others(run: Run, mixtures: Path, tmp_path: Path
     assert any(str(known) in str(item) for item in inputs)
 
 
-def test_opaques_and_iron_are_terms_of_the_end_members(run: Run, mixtures: Path) -> None:
+def test_opaques_and_iron_are_terms_of_the_end_members(run, mixtures: Path) -> None:
     for option in ("--opaque", "--iron"):
         for more in ((), ("--together",)):
             modes = found(run, mixtures, *NAMED, option, *more)["a"]
@@ -104,7 +102,7 @@ def test_opaques_and_iron_are_terms_of_the_end_members(run: Run, mixtures: Path)
     assert done.code == 2 and "'SPINEL' is no mineral that is weighed" in done.err[-1]
 
 
-def test_the_first_table_is_the_shares(run: Run, mixtures: Path, tmp_path: Path) -> None:
+def test_the_first_table_is_the_shares(run, mixtures: Path, tmp_path: Path) -> None:
     text = run("spectra", "unmix", mixtures, *NAMED).out
     assert text.splitlines()[0] == "shares of minerals by volume, with 68 % intervals"
     one = run("spectra", "unmix", mixtures, *NAMED, "--id", "a").out
@@ -128,7 +126,7 @@ def test_the_first_table_is_the_shares(run: Run, mixtures: Path, tmp_path: Path)
     ],
 )
 def test_tables_of_modes_that_do_not_fit_are_refused(
-    run: Run, mixtures: Path, tmp_path: Path, table: str, message: str
+    run, mixtures: Path, tmp_path: Path, table: str, message: str
 ) -> None:
     known = tmp_path / "known.csv"
     known.write_text(table)
@@ -138,7 +136,7 @@ def test_tables_of_modes_that_do_not_fit_are_refused(
     assert message in done.err[-1]
 
 
-def test_spectra_of_one_name_are_told_apart_but_not_by_a_table(run: Run, mixtures: Path, tmp_path: Path) -> None:
+def test_spectra_of_one_name_are_told_apart_but_not_by_a_table(run, mixtures: Path, tmp_path: Path) -> None:
     twin = tmp_path / "twin.csv"
     twin.write_text(mixtures.read_text())
     done = run("spectra", "unmix", mixtures, twin, *NAMED, "--together", "--json")
@@ -161,7 +159,7 @@ def soil(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return written(tmp_path_factory.mktemp("soil") / "soil.csv", {"soil": values})
 
 
-def test_a_weathered_soil_is_not_unmixed(run: Run, soil: Path, tmp_path: Path) -> None:
+def test_a_weathered_soil_is_not_unmixed(run, soil: Path, tmp_path: Path) -> None:
     done = run("spectra", "unmix", soil, "--kind", "weathered-soil", "--json", "--plot", tmp_path / "shares.pdf")
     assert done.code == 3
     assert "shares of soil are not determined: a soil that space has weathered" in done.err[-1] + done.err[0]
@@ -181,7 +179,7 @@ def test_a_weathered_soil_is_not_unmixed(run: Run, soil: Path, tmp_path: Path) -
     assert "normative_feo_wt,normative_feo_low_wt" in shown.out
 
 
-def test_a_stored_share_is_trusted_as_its_own_spectrum_is(run: Run, mixtures: Path, soil: Path, tmp_path: Path) -> None:
+def test_a_stored_share_is_trusted_as_its_own_spectrum_is(run, mixtures: Path, soil: Path, tmp_path: Path) -> None:
     """A soil beside a powder: the soil leaves with 3, the powder with 0, and all of them together with 3."""
     kept = tmp_path / "both.json"
     powder = tmp_path / "powder.csv"
@@ -195,7 +193,7 @@ def test_a_stored_share_is_trusted_as_its_own_spectrum_is(run: Run, mixtures: Pa
     assert run("info", kept, "--field", "result.spectra").code == 3
 
 
-def test_a_rock_has_shares_with_wide_intervals_and_ratios_beside_published_ones(run: Run, tmp_path: Path) -> None:
+def test_a_rock_has_shares_with_wide_intervals_and_ratios_beside_published_ones(run, tmp_path: Path) -> None:
     values = (0.055 + 0.09 * (NM - 450.0) / 1000.0) * (1 - 0.25 * np.exp(-0.5 * ((NM - 960.0) / 90.0) ** 2))
     deep = written(tmp_path / "rock.csv", {"rock": values})
     done = run("spectra", "unmix", deep, "--kind", "solid-rock", "--json")
@@ -212,7 +210,7 @@ def test_a_rock_has_shares_with_wide_intervals_and_ratios_beside_published_ones(
     assert "ratios of mafic minerals" in shown
 
 
-def test_channels_of_any_instrument_are_enough(run: Run, tmp_path: Path) -> None:
+def test_channels_of_any_instrument_are_enough(run, tmp_path: Path) -> None:
     """43 channels, none from 1.3 to 1.6 um; half a spectrum has an answer, too, with wider intervals."""
     [olivine] = [item for item in embedded_end_members(NM) if item.id == "AG-TJM-008"]
     widths = {}

@@ -490,7 +490,7 @@ def test_three_detectors_with_few_channels_in_common_are_joined(
     level = level * (1 + noise * np.random.default_rng(1).normal(size=nm.size))
     order = np.argsort(nm)
     table = "wavelength_nm,rock\n" + rows(nm[order], level[order], gap=",")
-    [spectrum] = quietly(lambda: list(read_spectra(InputFile("a.csv", table.encode()))))  # type: ignore[misc]
+    [spectrum] = quietly(lambda: list(read_spectra(InputFile("a.csv", table.encode()))))
     off = spectrum.reflectance / rock(spectrum.wavelength_nm) - 1
     assert np.abs(off).max() < 0.001 + 8 * noise
     assert len(spectrum.metadata["read_as"]) == 2
@@ -514,7 +514,7 @@ def test_the_rock_is_read(kind: str, tmp_path: Path) -> None:
     for name, content in made.files.items():
         (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
     path = tmp_path / next(iter(made.files))
-    spectra = list(quietly(lambda: read_spectra(str(path), **made.options)))  # type: ignore[call-overload]
+    spectra = list(quietly(lambda: read_spectra(str(path), **made.options)))
     assert len(spectra) == made.count and all(is_rock(spectrum, made) for spectrum in spectra)
     for spectrum in spectra:
         assert (spectrum.uncertainty is None) == (made.sigma is None)
@@ -524,7 +524,7 @@ def test_the_rock_is_read(kind: str, tmp_path: Path) -> None:
     assert (found.kind, found.trouble) == ("spectra", "")
     answer = quietly(lambda: lunarsci.bands(str(path)).to_dict()["spectra"])
     truth = expected()
-    for one in answer:  # type: ignore[attr-defined]
+    for one in answer:
         for band in ("bc1000_nm", "bc2000_nm"):
             assert abs(one[band] - truth[band]) < 3
 

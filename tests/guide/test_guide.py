@@ -153,7 +153,7 @@ def test_commands_that_info_names_exist() -> None:
                 continue
             command = program
             for word in words.split():
-                command = command.commands[word]  # type: ignore[attr-defined]
+                command = command.commands[word]
             assert not option or f"--{option}" in {name for one in command.params for name in one.opts}
 
 

@@ -196,7 +196,7 @@ def test_pictures_belong_together_by_the_numbers_in_their_names() -> None:
 
 def refused(*pictures: object, **options: object) -> str:
     with pytest.raises((DataError, RequestError, ParameterError)) as caught:
-        calibrate_cameras(*pictures, **options)  # type: ignore[arg-type]
+        calibrate_cameras(*pictures, **options)
     return str(caught.value)
 
 
@@ -244,7 +244,7 @@ def test_a_board_that_is_not_tilted_is_refused() -> None:
 def test_middles_of_circles_are_corrected(kind: str) -> None:
     """Ellipses of large circles, straight from their rims: uncorrected, the focal length is 0.8 px off."""
     random = np.random.default_rng(6)
-    target = BoardTarget(kind=kind, columns=7, rows=5, square_m=0.03, circle_m=0.024)  # type: ignore[arg-type]
+    target = BoardTarget(kind=kind, columns=7, rows=5, square_m=0.03, circle_m=0.024)
     turns = np.linspace(0, 2 * np.pi, 200, endpoint=False)
     rim, views = 0.012 * np.column_stack([np.cos(turns), np.sin(turns), 0 * turns]), []
     for turn, place in boards.poses(10, (0.1, 0.06), 0.3, random):
@@ -257,7 +257,7 @@ def test_middles_of_circles_are_corrected(kind: str) -> None:
             for m, o in zip(moments, outlines, strict=True)
         ]
         views.append((Sighting(np.arange(35), np.array(middles)),))
-    plain = calibrate(views, BoardTarget(kind=kind, columns=7, rows=5, square_m=0.03), [LEFT.size])  # type: ignore[arg-type]
+    plain = calibrate(views, BoardTarget(kind=kind, columns=7, rows=5, square_m=0.03), [LEFT.size])
     corrected = calibrate(views, target, [LEFT.size])
     assert plain.residual_px < 0.01  # which residuals do not tell
     assert corrected.cameras[0].fx_px == pytest.approx(520, abs=0.05)
@@ -268,10 +268,10 @@ def test_boards_of_every_kind_are_found() -> None:
     random, way = np.random.default_rng(7), boards.rays(LEFT)
     turn, place = rotation_of([0.3, -0.2, 0.1]), np.array([-0.1, -0.07, 0.5])
     numbers = dict(zip(INTRINSICS, map(float, truth()[:9]), strict=True))
-    camera = Camera(name="a", width_px=480, height_px=400, **numbers)  # type: ignore[arg-type]
+    camera = Camera(name="a", width_px=480, height_px=400, **numbers)
     for kind in ("circles", "asymmetric-circles", "charuco"):
         size = {"columns": 4, "rows": 7} if kind == "asymmetric-circles" else {"columns": 7, "rows": 5}
-        target = BoardTarget(kind=kind, square_m=0.03, marker_m=0.022, circle_m=0.015, **size)  # type: ignore[arg-type]
+        target = BoardTarget(kind=kind, square_m=0.03, marker_m=0.022, circle_m=0.015, **size)
         if kind == "charuco":
             drawn = target.charuco().generateImage((1400, 1000)) / 255.0
 
@@ -282,7 +282,7 @@ def test_boards_of_every_kind_are_found() -> None:
         else:
             centers = target.points_m[:, :2]
 
-            def light(x: np.ndarray, y: np.ndarray, centers: np.ndarray = centers) -> np.ndarray:  # type: ignore[misc]
+            def light(x: np.ndarray, y: np.ndarray, centers: np.ndarray = centers) -> np.ndarray:
                 return boards.circles(x, y, centers, 0.015)
 
         values = boards.picture(way, turn, place, light, random).astype(float)

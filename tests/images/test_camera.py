@@ -27,7 +27,7 @@ BENT = {"k1": -0.2, "k2": 0.05, "k3": 0.01, "p1": 1e-3, "p2": -2e-3}
 
 
 def camera(**changes: float) -> Camera:
-    return Camera(name="a", width_px=1024, height_px=1000, **(LENS | BENT | changes))  # type: ignore[arg-type]
+    return Camera(name="a", width_px=1024, height_px=1000, **(LENS | BENT | changes))
 
 
 def points(count: int = 40) -> np.ndarray:
@@ -46,7 +46,7 @@ def rig(**changes: object) -> StereoRig:
             "translation_m": np.array([-0.27, 0.002, 0.001]),
             "covariance": covariance_of({name: 0.1 if name.endswith("px") else 1e-4 for name in PARAMETERS}),
         }
-        | changes  # type: ignore[arg-type]
+        | changes
     )
 
 
@@ -113,7 +113,7 @@ def test_a_rig_of_fewer_pixels_has_the_errors_of_the_same_view() -> None:
         with pytest.raises(ParameterError):
             whole.with_pixels(width)
     with pytest.raises(ParameterError, match="whole"):
-        whole.with_pixels(512.5)  # type: ignore[arg-type]
+        whole.with_pixels(512.5)
 
 
 def test_what_no_lens_shows_is_not_a_number() -> None:

@@ -45,8 +45,8 @@ def navcam() -> StereoRig:
     lens = {"width_px": 1024, "height_px": 1024, "fx_px": 1189.0, "fy_px": 1189.0, "cx_px": 514.0, "cy_px": 509.0}
     return StereoRig(
         name="n",
-        left=Camera(name="l", k1=-0.06, **lens),  # type: ignore[arg-type]
-        right=Camera(name="r", k1=-0.05, **lens),  # type: ignore[arg-type]
+        left=Camera(name="l", k1=-0.06, **lens),
+        right=Camera(name="r", k1=-0.05, **lens),
         rotation=rotation_of([0.001, -0.004, 0.0015]),
         translation_m=np.array([-0.27, 0.0006, -0.0009]),
         covariance=covariance_of({name: SIGMA.get(name, 0.0) for name in PARAMETERS}),
@@ -254,8 +254,8 @@ def stations(tmp_path_factory: pytest.TempPathFactory) -> Path:
     lens = {"width_px": 400, "height_px": 300, "fx_px": 464.0, "fy_px": 464.0, "cx_px": 200.0, "cy_px": 150.0}
     rig = StereoRig(
         name="SYNTHETIC small",
-        left=Camera(name="l", **lens),  # type: ignore[arg-type]
-        right=Camera(name="r", **lens),  # type: ignore[arg-type]
+        left=Camera(name="l", **lens),
+        right=Camera(name="r", **lens),
         rotation=np.eye(3),
         translation_m=np.array([-0.27, 0, 0]),
         covariance=covariance_of({"left_cx_px": 0.1, "right_cx_px": 0.1, "translation_x_m": 1e-4}),
@@ -373,13 +373,12 @@ def test_light_that_is_compared_has_the_same_mean_and_contrast_all_over() -> Non
 def test_peak_of_a_parabola() -> None:
     v, u = np.mgrid[:9, :9].astype(float)
     found = _peak(0.9 - 0.02 * (u - 4.3) ** 2 - 0.01 * (v - 3.8) ** 2, 100)
-    assert found is not None
     assert found[:2] == pytest.approx((4.3, 3.8), abs=1e-9)
     assert found[3] / found[5] == pytest.approx(0.5)
     assert _peak(np.full((9, 9), 0.9), 100) is None
 
 
-def test_what_is_no_station(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_what_is_no_station(tmp_path) -> None:
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "pose.toml").write_text("position_m = [0, 0, 1.5]\nheading_deg = 0\ndown_deg = 25\n")
     with pytest.raises(DataError, match=r"no left.png; a station is a folder"):

@@ -41,7 +41,7 @@ def test_refined_disparities_are_right_and_as_uncertain_as_they_say(half_px: int
     plain = light(u, v), 0.8 * light(back, v) + 30
     start = truth + random.uniform(-0.5, 0.5, truth.shape)
     slopes = np.zeros_like(truth), np.full_like(truth, -0.05)
-    exact = refine(*plain, start, slopes, half_px=half_px)  # type: ignore[arg-type]
+    exact = refine(*plain, start, slopes, half_px=half_px)
     known = np.isfinite(exact.disparity)
     assert known[10:-10, 50:-10].mean() > 0.99
     assert np.abs(exact.disparity - truth)[known].max() < interpolation_px
@@ -49,7 +49,7 @@ def test_refined_disparities_are_right_and_as_uncertain_as_they_say(half_px: int
     errors = []
     for _ in range(12):
         noisy = [p + 2.0 * random.standard_normal(p.shape) for p in plain]
-        found = refine(*noisy, start, slopes, half_px=half_px, step_px=9)  # type: ignore[arg-type]
+        found = refine(*noisy, start, slopes, half_px=half_px, step_px=9)
         errors.append(((found.disparity - truth) / found.sigma)[np.isfinite(found.disparity)])
     z = np.concatenate(errors)
     assert len(z) > 1200
@@ -63,7 +63,7 @@ def test_rows_that_are_apart_are_measured() -> None:
     total = 0.0
     for _ in range(2):
         right = light(u + 10, v - 0.4 + total)
-        found = refine(light(u, v), right, start, level, step_px=5, rows=True)  # type: ignore[arg-type]
+        found = refine(light(u, v), right, start, level, step_px=5, rows=True)
         total += float(np.nanmedian(found.row_offset))
     assert total == pytest.approx(0.4, abs=0.03)
 
@@ -145,7 +145,7 @@ def test_a_real_pair_is_matched_no_worse_than_by_opencv() -> None:
     pinhole = {"fx_px": focal, "fy_px": focal, "cx_px": 0.5 * (width - 1), "cy_px": 0.5 * (height - 1)}
     lens = Camera(name="m", width_px=width, height_px=height, **pinhole)
     apart = {"rotation": np.eye(3), "translation_m": np.array([-baseline, 0, 0]), "covariance": np.zeros((24, 24))}
-    found = match(*pictures, StereoRig(name="m", left=lens, right=lens, **apart), nearest_m=focal * baseline / 72)  # type: ignore[arg-type]
+    found = match(*pictures, StereoRig(name="m", left=lens, right=lens, **apart), nearest_m=focal * baseline / 72)
     known = np.isfinite(truth) & (truth > 0)
 
     def bad(disparity: np.ndarray) -> float:

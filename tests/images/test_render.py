@@ -29,7 +29,7 @@ POSE = Pose.looking([0.0, 0.0, 1.5], 5.0, 28.0, 2.0)
 
 def landscape(**options: float) -> Landscape:
     flat = (0.0, -3.0, 0.5, np.zeros((13, 17)))
-    return landscape_on(flat, name="g", seed=8, spacing_m=0.05, **({"rocks_per_m2": 1.0} | options))  # type: ignore[arg-type]
+    return landscape_on(flat, name="g", seed=8, spacing_m=0.05, **({"rocks_per_m2": 1.0} | options))
 
 
 def flat_ground(elevation: float = 35.0, rocks: np.ndarray | None = None) -> Landscape:
@@ -68,7 +68,7 @@ def test_geometry_and_shadows_are_those_of_mitsuba() -> None:
     ways = LENS.rays(pixels) @ POSE.rotation.T
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
 
-    def vector(rows: np.ndarray) -> tuple:  # type: ignore[type-arg]
+    def vector(rows: np.ndarray) -> tuple:
         return tuple(mi.Float(np.ascontiguousarray(rows[:, k], dtype=np.float32)) for k in range(3))
 
     hit = loaded.ray_intersect(mi.Ray3f(mi.Point3f(0, 0, 1.5), mi.Vector3f(*vector(ways))))

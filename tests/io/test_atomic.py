@@ -6,6 +6,7 @@ import signal
 import stat
 import sys
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -79,37 +80,44 @@ def found(folder: Path) -> dict[str, str]:
     return {file.name: file.read_text() for file in folder.iterdir() if file.is_file()}
 
 
-def every_point(
-    tmp_path: Path, numbers: list[int], look: Callable[[Path, Path, int], None], *, nested: bool = False
-) -> int:
-    """Kill at one point after the other, by these signals in turn, each in a folder of its own; how many there were."""
-    beyond, point = False, 0
+Left = tuple[int, dict[str, str], str, list[str]]
+"""Exit code at a point, files of the folder, the picture, and all names in both places."""
+
+
+def every_point(tmp_path: Path, numbers: list[int], nested: bool) -> list[Left]:
+    """What was left at one point after the other by these signals in turn, each in a folder of its own."""
+    lefts, beyond, point = list[Left](), False, 0
     while not beyond:
         point += 1
         place = tmp_path / str(point)
         place.mkdir()
-        make(place / "out", nested=nested)
-        code, passed = run(point, numbers[point % len(numbers)], place / "out")
+        make(folder := place / "out", nested=nested)
+        code, passed = run(point, numbers[point % len(numbers)], folder)
         beyond = 0 < passed < point
-        look(place, place / "out", code)
-        write(place / "out")
-        left = {file.name for file in place.iterdir()} | {file.name for file in (place / "out").iterdir()}
-        assert not [name for name in left if name.startswith(".")], f"point {point}: left behind"
-    return point - 1
+        lefts.append((code, found(folder), folder.with_suffix(".png").read_text(), names_in(place)))
+        write(folder)
+        assert not [name for name in names_in(place) if name.startswith(".")], f"point {point}: left behind"
+    return lefts
+
+
+def names_in(place: Path) -> list[str]:
+    return sorted(file.name for folder in (place, place / "out") for file in folder.iterdir())
+
+
+def in_a_small_process(tmp_path: Path, *arguments: Any) -> list[Left]:
+    """The same; forks of one that has imported the whole suite take several times as long."""
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(every_point, tmp_path, *arguments).result()
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="forks")
 def test_killed_anywhere_a_folder_is_old_or_new(tmp_path: Path) -> None:
-    ends = set()
-
-    def look(place: Path, folder: Path, code: int) -> None:
-        assert code in (0, -signal.SIGKILL)
-        ends.add("new" if found(folder) == AFTER else "old")
-        assert found(folder) in (OLD, AFTER)
-        assert (place / "out.png").read_text() in ("old picture", "new picture")
-
-    assert every_point(tmp_path, [signal.SIGKILL], look) >= 50
-    assert ends == {"old", "new"}
+    lefts = in_a_small_process(tmp_path, [signal.SIGKILL], False)
+    assert len(lefts) > 50
+    assert {code for code, *_ in lefts} == {0, -signal.SIGKILL}
+    assert all(picture in ("old picture", "new picture") for _, _, picture, _ in lefts)
+    files = [files for _, files, _, _ in lefts]
+    assert all(one in (OLD, AFTER) for one in files) and OLD in files and AFTER in files
 
 
 @pytest.mark.slow
@@ -173,19 +181,12 @@ def test_what_is_written_carelessly_is_seen(
 @pytest.mark.parametrize("nested", [False, True], ids=["plain", "with a folder of the user's in it"])
 def test_told_to_stop_everything_is_old_or_new_and_nothing_left(nested: bool, tmp_path: Path) -> None:
     """By each signal at a third of the points; also in a folder that cannot be swapped: its files change one by one."""
-    ends = []
-
-    def look(place: Path, folder: Path, code: int) -> None:
-        now = (found(folder), (place / "out.png").read_text())
-        ends.append(now == (AFTER, "new picture"))
-        assert ends[-1] or now == (OLD, "old picture")
-        assert code in (0, 130)
-        assert sorted(file.name for file in place.iterdir()) == ["out", "out.png"]
-        assert not [file for file in folder.iterdir() if file.name.startswith(".")]
-
-    every_point(tmp_path, [getattr(signal, name) for name in POLITE], look, nested=nested)
-    assert True in ends
-    assert False in ends
+    lefts = in_a_small_process(tmp_path, [getattr(signal, name) for name in POLITE], nested)
+    ends = [(files, picture) for _, files, picture, _ in lefts]
+    assert all(end in ((OLD, "old picture"), (AFTER, "new picture")) for end in ends)
+    assert {files == AFTER for files, _ in ends} == {False, True}
+    assert {code for code, *_ in lefts} == {0, 130}
+    assert not [names for *_, names in lefts if {*names} - {"out", "out.png", "mine", *AFTER}]
 
 
 def test_modes_stay_and_links_stay_links(tmp_path: Path) -> None:

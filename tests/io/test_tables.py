@@ -34,7 +34,7 @@ def test_every_table_has_a_source() -> None:
 
 def test_rows_cannot_be_changed_for_the_next_reader() -> None:
     with pytest.raises(TypeError):
-        table_rows("mgm_bands.csv")[0]["center_nm"] = "0"  # type: ignore[index]
+        table_rows("mgm_bands.csv")[0]["center_nm"] = "0"
 
 
 def test_semicolons_and_decimal_commas_are_those_of_the_same_table() -> None:

@@ -184,7 +184,6 @@ def test_a_broken_state_in_the_history_is_named(chain: list[SoilBelief]) -> None
 def test_moves_are_in_standard_deviations_of_the_state_before(chain: list[SoilBelief]) -> None:
     moves = moved_sd(chain[-1])
     for before, after, moved in zip(chain[:-1], chain[1:], moves, strict=True):
-        assert moved is not None
         expected = (after.mean - before.mean) / np.sqrt(np.diag(before.covariance))
         assert list(moved.values()) == pytest.approx(expected)
 

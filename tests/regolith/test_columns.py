@@ -46,7 +46,7 @@ def states(found: pd.DataFrame, units: str = "") -> WheelStates:
 def written(**columns: object) -> pd.DataFrame:
     """The table with columns under other names, by `OLD=(NEW, FACTOR)`."""
     found = TRUE.copy()
-    for name, (other, factor) in columns.items():  # type: ignore[misc]
+    for name, (other, factor) in columns.items():
         found[name] *= factor
         found = found.rename(columns={name: other})
     return found

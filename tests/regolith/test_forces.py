@@ -176,7 +176,7 @@ def test_the_slip_branch_has_the_shear_of_as_much_slip_in_skid(slip: float) -> N
 def test_readings_agree_in_slip() -> None:
     values = [
         float(closed_form_forces(WHEEL, SOIL, 0.009, 0.2, reading=reading).drawbar_pull_n) for reading in SHEAR_SIGNS
-    ]  # type: ignore[arg-type]
+    ]
     assert values == pytest.approx([values[0]] * 3)
 
 
@@ -280,7 +280,7 @@ def test_signed_reading_agrees_with_measured_skid_and_slip(reference_data: Path)
             friction_angle_deg=point[2],
             sinkage_exponent_slip=point[3],
         )
-        return closed_form_forces(wheel, soil, sinkage, slip, reading=reading).drawbar_pull_n - pull  # type: ignore[arg-type]
+        return closed_form_forces(wheel, soil, sinkage, slip, reading=reading).drawbar_pull_n - pull
 
     def held_out_rmse(reading: str) -> float:
         bounds = ([0, 0, 5, -0.6], [14, 5, 60, 0.9])

@@ -40,7 +40,7 @@ def test_values_out_of_range_are_refused() -> None:
             reece_stiffness(**(MARS_LIKE | changes), cohesion_pa=1.0, density_kg_m3=1500.0, gravity_m_s2=1.6)
     for arguments in ((-0.01, 0.1), (0.01, -0.1), (0.01, 1.0), (0.01, 0.1, "mine")):
         with pytest.raises(ParameterError):
-            slip_sinkage(*arguments)  # type: ignore[arg-type]
+            slip_sinkage(*arguments)
     with pytest.raises(ParameterError):
         slip_sinkage(0.01, 0.1, rate=np.nan)
 

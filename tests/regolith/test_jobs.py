@@ -101,7 +101,7 @@ def test_a_curve_that_is_none_is_refused(slip: str) -> None:
 def test_shares_of_grip_need_the_integrals_and_have_them_without_being_asked() -> None:
     assert contact_model(WheelForcesRequest(load=36.5)) is None
     for choice in ({"exact": True}, {"shear": "ellipse"}, {"bulldozing": "wong"}, {"rebound": 0.0}):
-        assert contact_model(WheelForcesRequest(load=36.5, **choice)) is not None  # type: ignore[arg-type]
+        assert contact_model(WheelForcesRequest(load=36.5, **choice)) is not None
 
 
 def test_a_soil_is_found_again_in_its_forces(identified: IdentifiedSoil) -> None:
@@ -201,7 +201,7 @@ def test_a_site_is_compared_as_an_object_or_as_numbers(identified: IdentifiedSoi
         (compare_soils, {}),
     ],
 )
-def test_what_makes_no_sense_is_refused(job, options) -> None:  # type: ignore[no-untyped-def]
+def test_what_makes_no_sense_is_refused(job, options) -> None:
     with pytest.raises(RequestError):
         job(**options)
 

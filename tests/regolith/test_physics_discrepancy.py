@@ -88,7 +88,7 @@ def test_it_goes_with_the_belief_through_its_file_and_history(tmp_path: Path) ->
     learned = with_drive(dataclasses.replace(first, discrepancy=law), first, {"states": "a.csv"})
     other = with_drive(dataclasses.replace(learned, discrepancy=FIRST), learned, {"states": "b.csv"})
     back = read(other.to_json())
-    assert back.discrepancy == FIRST and past_beliefs(back)[1].discrepancy == law  # type: ignore[union-attr]
+    assert back.discrepancy == FIRST and past_beliefs(back)[1].discrepancy == law
     assert rolled_back(back, 1).discrepancy == law and rolled_back(back, 0).discrepancy == FIRST
     # A file of an older version has none, and is read.
     document = json.loads(learned.to_json())

@@ -27,7 +27,7 @@ def soil() -> list[Figure]:
 
 
 def curves(axes: object) -> Iterator[np.ndarray]:
-    for line in axes.get_lines():  # type: ignore[attr-defined]
+    for line in axes.get_lines():
         points = np.column_stack([np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float)])
         if len(points) > 10 and line.get_linestyle() != "None":
             yield points

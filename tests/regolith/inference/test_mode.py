@@ -122,7 +122,7 @@ def test_sampled_intervals_and_profiles_are_widened_alike() -> None:
     sigma = float(np.sqrt(widened(mode_with_errors(problem(states, laws)), slice(1))[0, 0]))
     assert sigma < 0.3 * PRIOR["stiffness_kpa_m_n"].width
     for options in ({}, {"profile": True}, {"sample": True}):
-        posterior = infer_soil(states, WHEEL, laws, draws=400, **options)  # type: ignore[arg-type]
+        posterior = infer_soil(states, WHEEL, laws, draws=400, **options)
         assert posterior.how == next(iter(options), "normal")
         ends = np.log(posterior.intervals()["stiffness_kpa_m_n"][1:])
         # The widths of 400 draws scatter by 5 %.

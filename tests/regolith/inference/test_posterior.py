@@ -260,4 +260,4 @@ def test_states_without_slip_are_refused() -> None:
 def test_impossible_requests_are_refused(options: dict[str, object]) -> None:
     rng = np.random.default_rng(8)
     with pytest.raises(ParameterError):
-        infer_soil(measured(drawn_soil(rng), 5, rng), WHEEL, **options)  # type: ignore[arg-type]
+        infer_soil(measured(drawn_soil(rng), 5, rng), WHEEL, **options)

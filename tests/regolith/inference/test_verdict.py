@@ -196,7 +196,7 @@ def test_forces_are_predicted_with_the_error_of_the_model(right: SoilPosterior) 
     compared = predict_states(right, WHEEL, InputFile("s.csv", text.encode())).compared()
     held = [found["held90"] for found in compared.values() if found]
     assert 0.82 <= np.mean(held) <= 0.99
-    assert compared["drawbar_pull_n"]["rms_of_load"] < 0.06  # type: ignore[index]
+    assert compared["drawbar_pull_n"]["rms_of_load"] < 0.06
     drawn = predict_forces(right, WHEEL, 0.2, 0.0, [36.0], [0.01])
     alone = predict_states(right, WHEEL, InputFile("s.csv", b"slip_ratio,normal_force_n,sinkage_m\n0.2,36,0.01\n"))
     ends = np.quantile(drawn.draws[:, 0], [0.05, 0.95, 0.16, 0.84], axis=0)
@@ -237,7 +237,6 @@ def test_the_model_errs_more_where_nothing_taught_it(right: SoilPosterior) -> No
     found = shares_at(own, places, np.array([[0.4, 0.0], [1.0, 0.0], [0.1, 30.0], [0.1, 150.0]]))
     part = 1.0 - math.exp(-1.0)
     assert found == pytest.approx(np.sqrt(own**2 + np.array([0.0, part, part, 1.0])[:, None] * elsewhere**2), rel=1e-9)
-    assert right.lesson is not None
     straight = Lesson(WHEEL, right.lesson.inputs * [1.0, 1.0, 0.0], right.lesson.forces)
     taught = replace(right, lesson=straight)
     drawn = predict_forces(taught, WHEEL, [0.1], [90.0], [36.0], [0.01], draws=2000)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.optimize import approx_fprime, least_squares
+from scipy.optimize import least_squares
 
 from lunarsci.errors import ParameterError
 from lunarsci.io.inputs import read_input
@@ -55,7 +55,7 @@ def made(truth: np.ndarray = TRUTH, noise: float = 0.004, seed: int = 1) -> Spec
 
 
 def fitted(spectrum: Spectrum, model: MgmModel, **options: object) -> MgmFit:
-    [fit] = fit_damping([spectrum], model, **options)  # type: ignore[arg-type]
+    [fit] = fit_damping([spectrum], model, **options)
     assert isinstance(fit, MgmFit)
     return fit
 
@@ -183,59 +183,6 @@ def test_it_ends_in_the_least_squares_minimum_with_the_errors_of_the_program() -
     assert np.all(np.abs(values - TRUTH) < 2 * errors)
 
 
-def own_step(file: FitFile, point: np.ndarray, data: np.ndarray) -> np.ndarray:
-    """(G'G + Cm^-1)^-1 G'r with numerical derivatives, centres in wavenumber."""
-    values, errors = in_units_of_the_file(file)
-    ends = [1e7 / (values[2::3] + sign * errors[2::3]) for sign in (-1, 1)]
-    errors[2::3] = ends[0] - ends[1]
-    slopes = approx_fprime(point, in_wavenumber, 1e-6 * np.abs(point))
-    right = slopes.T @ (data - in_wavenumber(point))
-    return np.asarray(np.linalg.solve(slopes.T @ slopes + np.diag((errors / 1.96) ** -2.0), right))
-
-
-def in_wavenumber(point: np.ndarray) -> np.ndarray:
-    p = point.copy()
-    p[2::3] = 1e7 / p[2::3]
-    return ln_reflectance(p)
-
-
-def start_point(file: FitFile) -> np.ndarray:
-    values, _ = in_units_of_the_file(file)
-    values[2::3] = 1e7 / values[2::3]
-    return values
-
-
-def test_one_iteration_is_the_published_step_without_a_pull_to_the_prior() -> None:
-    spectrum, start = made(), start_point(START)
-    step = own_step(START, start, np.log(spectrum.reflectance))
-    fit = from_file(spectrum, START, improvement_limit=1e9)
-    assert fit.iterations == 1
-    reached, _ = in_units_of_the_file(fit_file_of(fit))
-    reached[2::3] = 1e7 / reached[2::3]
-    assert reached == pytest.approx(start + step, rel=1e-4)
-    assert np.abs(step / start).max() > 0.1
-
-
-def test_a_step_that_does_not_lower_the_rms_is_halved_until_it_does() -> None:
-    """Uncertainties so wide that they damp nothing, from a start that is far off."""
-    far = FitBand(800.0, 500.0, -0.3, 800.0, 1e6, 1e3)
-    file, spectrum = replace(START, bands=(START.bands[0], far, START.bands[2])), made()
-    data, start = np.log(spectrum.reflectance), start_point(file)
-
-    def rms(p: np.ndarray) -> float:
-        return float(np.sqrt(np.mean((data - in_wavenumber(p)) ** 2)))
-
-    with np.errstate(divide="ignore"):
-        step = own_step(file, start, data)
-    trials = [start + step / 2**k for k in range(16)]
-    with np.errstate(invalid="ignore"):
-        lower = [rms(t) < rms(start) for t in trials]
-    assert not lower[0]
-    assert any(lower)
-    fit = from_file(spectrum, file, improvement_limit=1e9)
-    assert fit.rms_ln == pytest.approx(rms(trials[lower.index(True)]), rel=1e-3)
-
-
 def test_the_prior_damps_and_does_not_pull() -> None:
     shifted = replace(START, bands=tuple(replace(b, center_nm=b.center_nm + 60, strength=-0.6) for b in START.bands))
     tight = [
@@ -247,8 +194,6 @@ def test_the_prior_damps_and_does_not_pull() -> None:
     sigma = np.sqrt(np.diag(first.covariance))
     assert np.all(np.abs(first.parameters - second.parameters) < 1e-3 * sigma)
     one, other = (fit_spectra([spectrum], model, model_error=0.02)[0] for model in tight)
-    assert isinstance(one, MgmFit)
-    assert isinstance(other, MgmFit)
     assert np.abs((one.parameters - other.parameters) / sigma).max() > 3
 
 
@@ -316,11 +261,8 @@ def test_fixed_values_stay_and_ties_hold() -> None:
     assert fit.rms_ln > free.rms_ln
     assert (free.bic - free.objective) / np.log(GRID.size) == pytest.approx(11)
     assert (fit.bic - fit.objective) / np.log(GRID.size) == pytest.approx(9)
-
-
-def test_a_tie_to_a_fixed_value_holds() -> None:
-    model = model_of(START).tied("band_2_center_nm", 0.5, "band_3_center_nm", 0.0)
-    fit = fitted(made(), model.bounded("band_3_center_nm", 1940, 1940), **TO_THE_END)
+    held = model_of(START).tied("band_2_center_nm", 0.5, "band_3_center_nm", 0.0)
+    fit = fitted(made(), held.bounded("band_3_center_nm", 1940, 1940), **TO_THE_END)
     assert [band.center_nm for band in fit.bands[1:]] == pytest.approx([970.0, 1940.0], abs=1e-6)
 
 
@@ -392,7 +334,7 @@ def test_where_a_band_is_undetermined_no_first_order_tells_what_calibration_does
 @pytest.mark.parametrize("continuum", ["wavelength", "wavenumber-cubic", "log-quadratic", "none"])
 def test_models_of_assemblages_are_fitted_and_their_pyroxene_ratio_given(continuum: str) -> None:
     """NBSR is s_OPX / (s_OPX + s_CPX): Kanner et al. (2007), 10.1016/j.icarus.2006.10.025."""
-    model = mgm_model("OPX-CPX", continuum)  # type: ignore[arg-type]
+    model = mgm_model("OPX-CPX", continuum)
     ln = np.zeros(GRID.size) if continuum == "none" else np.full(GRID.size, np.log(0.3))
     strengths = {"OPX 1": -0.5, "CPX 1": -0.2, "OPX 2": -0.45, "CPX 2": -0.15}
     for band in model.assemblage.bands:
@@ -407,7 +349,6 @@ def test_models_of_assemblages_are_fitted_and_their_pyroxene_ratio_given(continu
     slope = np.array([b, -a]) / (a + b) ** 2
     error = float(np.sqrt(slope @ fit.covariance[np.ix_(rows, rows)] @ slope))
     ratio = fit.nbsr["um2"]
-    assert ratio is not None
     assert (ratio.opx, ratio.sigma) == pytest.approx((a / (a + b), error))
     assert nbsr_abundance(fit) is None
 
@@ -423,7 +364,6 @@ def test_bands_of_a_file_have_a_ratio_where_their_minerals_are_named() -> None:
     assert unnamed.nbsr == {"um1": None, "um2": None}
     assert named.parameters.tolist() == unnamed.parameters.tolist()
     ratio = named.nbsr["um2"]
-    assert ratio is not None
     opx, cpx = (band.strength for band in named.bands[2:])
     assert ratio.opx == pytest.approx(opx / (opx + cpx))
     assert ratio.opx == pytest.approx(2 / 3, abs=0.1)
@@ -465,7 +405,7 @@ def test_spectra_that_cannot_be_fitted_say_why_in_their_place() -> None:
 )
 def test_impossible_options_are_refused(options: dict[str, object]) -> None:
     with pytest.raises(ParameterError):
-        fit_damping([made()], model_of(START), **options)  # type: ignore[arg-type]
+        fit_damping([made()], model_of(START), **options)
 
 
 @pytest.mark.reference

@@ -63,7 +63,7 @@ def made(strengths: dict[str, float], seed: int | None = None, noise: float = 0.
 
 
 def fitted(spectrum: Spectrum, **options: object) -> MgmFit:
-    [result] = fit_spectra([spectrum], MODEL, **options)  # type: ignore[arg-type]
+    [result] = fit_spectra([spectrum], MODEL, **options)
     assert isinstance(result, MgmFit)
     return result
 
@@ -76,7 +76,6 @@ def test_known_bands_come_back() -> None:
         assert band.strength == pytest.approx(STRENGTHS[band.name], abs=3 * band.strength_sigma)
         assert band.strength <= 0
     ratio = fit.nbsr["um2"]
-    assert ratio is not None
     assert ratio.opx == pytest.approx(0.25 / 0.40, abs=0.03)
     assert ratio.opx + ratio.cpx == pytest.approx(1)
 
@@ -86,7 +85,6 @@ def test_the_ratio_at_1_um_is_that_of_the_bands_near_0_9_and_1_um() -> None:
     fit = fitted(made(STRENGTHS), model_error=0.001)
     strengths = {band.name: band.strength for band in fit.bands}
     ratio = fit.nbsr["um1"]
-    assert ratio is not None
     assert ratio.opx == pytest.approx(strengths["OPX 1"] / (strengths["OPX 1"] + strengths["CPX 1"]))
     assert ratio.opx == pytest.approx(
         STRENGTHS["OPX 1"] / (STRENGTHS["OPX 1"] + STRENGTHS["CPX 1"]), abs=3 * ratio.sigma
@@ -130,7 +128,7 @@ def test_shrinkage_tells_data_from_prior() -> None:
     """Without channels beyond 1.4 um the 2 um bands are what the prior and the 1 um bands of the same mineral say."""
     spectrum = made(STRENGTHS, seed=1)
     short = GRID < 1400
-    cut = Spectrum("cut", GRID[short], spectrum.reflectance[short], spectrum.uncertainty[short])  # type: ignore[index]
+    cut = Spectrum("cut", GRID[short], spectrum.reflectance[short], spectrum.uncertainty[short])
     by_name, whole = ({band.name: band for band in fitted(one).bands} for one in (cut, spectrum))
     assert by_name["CPX 2"].shrinkage["center"] < 0.1
     assert by_name["CPX 2"].strength_sigma > 3 * whole["CPX 2"].strength_sigma
@@ -140,7 +138,7 @@ def test_shrinkage_tells_data_from_prior() -> None:
 def test_a_ratio_that_the_data_do_not_tell_is_not_given() -> None:
     spectrum = made(STRENGTHS, seed=1)
     short = GRID < 1400
-    cut = Spectrum("cut", GRID[short], spectrum.reflectance[short], spectrum.uncertainty[short])  # type: ignore[index]
+    cut = Spectrum("cut", GRID[short], spectrum.reflectance[short], spectrum.uncertainty[short])
     assert fitted(cut).nbsr["um2"] is None
     flat = Spectrum("flat", GRID, 0.2 + 0.002 * np.random.default_rng(1).standard_normal(GRID.size))
     assert fitted(flat).nbsr == {"um1": None, "um2": None}
@@ -175,7 +173,6 @@ def test_a_fit_needs_channels_without_a_wide_gap(first: float, last: float) -> N
 
 def test_a_subset_of_minerals_has_their_bands_only() -> None:
     [fit] = fit_spectra([made(STRENGTHS)], mgm_model("ol-opx"))
-    assert isinstance(fit, MgmFit)
     assert fit.assemblage == "OL-OPX"
     assert {band.mineral for band in fit.bands} == {"any", "olivine", "orthopyroxene"}
     assert fit.nbsr == {"um1": None, "um2": None}
@@ -190,7 +187,7 @@ def test_unknown_assemblages_list_the_known_minerals(name: str) -> None:
 @pytest.mark.parametrize("options", [{"model_error": 0.0}, {"model_error": np.nan}, {"starts": 0}])
 def test_impossible_options_are_refused(options: dict[str, object]) -> None:
     with pytest.raises(ParameterError):
-        fit_spectra([made(STRENGTHS)], MODEL, **options)  # type: ignore[arg-type]
+        fit_spectra([made(STRENGTHS)], MODEL, **options)
 
 
 @pytest.mark.reference
@@ -216,7 +213,7 @@ def test_nbsr_at_2_um_ranks_the_orthopyroxene_clinopyroxene_mixtures(reference_d
     assert len(series) == 9
     spectra = read_spectra(read_input(str(reference_data / "spectra/relab/reflectance.csv")))
     fits = {fit.id: fit for fit in fit_spectra([s for s in spectra if s.id in series.index], MODEL)}
-    ratios = [fits[name].nbsr["um2"].opx for name in series.index]  # type: ignore[union-attr]
+    ratios = [fits[name].nbsr["um2"].opx for name in series.index]
     assert spearmanr(ratios, series["vol_opx"]).statistic == pytest.approx(1.0)
 
 
@@ -264,10 +261,9 @@ def test_the_spread_covers_all_separate_fits() -> None:
     assert calls[-1] == (21, 21)
     assert [isinstance(fit, MgmFailure) for fit in found[1].values()] == [True] * 7
     separate = [fit_spectra([spectra[2]], mgm_model("OPX-CPX", name))[0] for name in SPREAD_CONTINUA]
-    centres = [next(b.center_nm for b in fit.bands if b.name == "OPX 2") for fit in separate]  # type: ignore[union-attr]
-    ratios = [fit.nbsr["um2"].opx for fit in separate]  # type: ignore[union-attr]
+    centres = [next(b.center_nm for b in fit.bands if b.name == "OPX 2") for fit in separate]
+    ratios = [fit.nbsr["um2"].opx for fit in separate]
     own = found[2]["wavelength-quadratic"]
-    assert isinstance(own, MgmFit)
     spread = with_continuum_spread(own, found[2])
     band = next(b for b in spread.bands if b.name == "OPX 2")
     assert band.center_continuum_nm == pytest.approx(np.max(np.abs(np.array(centres) - band.center_nm)), rel=1e-9)
@@ -281,10 +277,8 @@ def test_the_spread_covers_all_separate_fits() -> None:
 
 def test_a_continuum_that_leaves_the_ratio_open_opens_the_range() -> None:
     [fit] = fit_spectra([bent()], mgm_model("OPX-CPX"))
-    assert isinstance(fit, MgmFit)
     silent = replace(fit, continuum="wavelength", nbsr=fit.nbsr | {"um2": None})
     ratio = with_continuum_spread(fit, {"wavelength-quadratic": fit, "wavelength": silent}).nbsr["um2"]
-    assert ratio is not None
     assert (ratio.continuum_low, ratio.continuum_high) == (0.0, 1.0)
 
 
@@ -292,7 +286,6 @@ def test_a_continuum_that_leaves_the_ratio_open_opens_the_range() -> None:
 def test_the_spread_of_a_band_is_the_largest_distance_to_either_side(sign: float) -> None:
     """Other continua 7 nm to one side and 4 nm to the other, and so on; one that did not converge says nothing."""
     [fit] = fit_spectra([bent()], mgm_model("OPX-CPX"))
-    assert isinstance(fit, MgmFit)
     ratio = fit.nbsr["um2"]
     assert ratio is not None
 
@@ -340,7 +333,6 @@ def test_a_spectrum_without_its_continuum_is_fitted_with_none() -> None:
     spectrum = bent()
     ratio = spectrum.reflectance / (0.12 + 9e-5 * GRID - 2e-8 * (GRID - 1500) ** 2)
     [fit] = fit_spectra([Spectrum("ratio", GRID, ratio, 0.004 * ratio)], mgm_model("OPX-CPX", "none"), model_error=1e-3)
-    assert isinstance(fit, MgmFit)
     assert fit.continuum_coefficients == ()
     strengths = {band.name: band for band in fit.bands}
     for name, truth in (("OPX 2", -0.15), ("CPX 2", -0.2)):
@@ -362,7 +354,7 @@ def pyroxenes(seed: int) -> np.ndarray:
 
 
 def fit_of(spectrum: Spectrum, **options: object) -> MgmFit:
-    [fit] = fit_spectra([spectrum], mgm_model(**options))  # type: ignore[arg-type]
+    [fit] = fit_spectra([spectrum], mgm_model(**options))
     assert isinstance(fit, MgmFit)
     return fit
 
@@ -417,8 +409,6 @@ def test_alone_or_in_a_batch_is_the_same() -> None:
     together = fit_spectra(spectra, MODEL)
     backwards = fit_spectra(spectra[::-1], MODEL)[::-1]
     for spectrum, first, second in zip(spectra, together, backwards, strict=True):
-        assert isinstance(first, MgmFit)
-        assert isinstance(second, MgmFit)
         alone = fit_of(spectrum)
         assert np.allclose(numbers(first), numbers(alone), rtol=1e-9, atol=1e-12)
         assert np.allclose(numbers(second), numbers(alone), rtol=1e-9, atol=1e-12)

@@ -70,7 +70,7 @@ def test_an_unchanged_fit_comes_back_the_same() -> None:
     assert again.converged
     same(fit, again)
     assert np.allclose(again.covariance, fit.covariance, rtol=1e-3, atol=1e-12)
-    assert again.nbsr["um2"].opx == pytest.approx(fit.nbsr["um2"].opx, abs=1e-5)  # type: ignore[union-attr]
+    assert again.nbsr["um2"].opx == pytest.approx(fit.nbsr["um2"].opx, abs=1e-5)
 
 
 def test_derivatives_agree_with_differences() -> None:

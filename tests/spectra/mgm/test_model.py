@@ -25,7 +25,6 @@ def two_pyroxenes(seed: int = 0) -> Spectrum:
 
 def fitted(model: MgmModel) -> MgmFit:
     [fit] = fit_spectra([two_pyroxenes()], model, model_error=0.003)
-    assert isinstance(fit, MgmFit)
     assert fit.converged
     return fit
 
@@ -101,7 +100,6 @@ def test_a_tie_is_kept_and_the_minimum_is_that_of_lmfit_with_the_same_expression
     def residual(current: lmfit.Parameters) -> np.ndarray:
         point = np.array([current[name].value for name in free.names])
         found = model_and_jacobian(point, GRID / 1e3, free.basis(GRID), free.logarithmic)
-        assert found is not None
         data = np.sqrt(fit.data.weight) * (np.log(fit.reflectance) - found[0])
         return np.concatenate([data, root.T @ (point - free.prior)[free.degrees :]])
 
@@ -135,8 +133,8 @@ def fit_parameters(parameters: object, fit: MgmFit) -> object:
 
     at = copy.deepcopy(parameters)
     for k, name in enumerate(fit.model.names):
-        if at[name].expr is None:  # type: ignore[index]
-            at[name].value = fit.parameters[k]  # type: ignore[index]
+        if at[name].expr is None:
+            at[name].value = fit.parameters[k]
     return at
 
 
@@ -164,7 +162,7 @@ def fit_parameters(parameters: object, fit: MgmFit) -> object:
 )
 def test_impossible_constraints_say_why(options: dict[str, list[str]], said: str) -> None:
     with pytest.raises(ParameterError, match=said.replace("(", r"\(")):
-        constrained(mgm_model("OPX-CPX"), **options)  # type: ignore[arg-type]
+        constrained(mgm_model("OPX-CPX"), **options)
 
 
 def test_compositions_are_read_as_written() -> None:

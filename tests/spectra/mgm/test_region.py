@@ -5,9 +5,7 @@ Kinds of solutions: models of some bands beside the whole one, and who tries who
 The benchmark of images measures what it says.
 """
 
-from collections.abc import Callable
 from functools import cache
-from types import ModuleType
 from typing import Any
 
 import numba
@@ -257,10 +255,7 @@ def test_the_likest_of_the_nearest_is_taken() -> None:
         assert got == near[unlike.argmin()]
 
 
-Load = Callable[[str], ModuleType]
-
-
-def test_an_image_with_a_contest_at_every_pixel_is_nowhere_higher(load_benchmark: Load, capsys: Any) -> None:
+def test_an_image_with_a_contest_at_every_pixel_is_nowhere_higher(load_benchmark, capsys: Any) -> None:
     """As its line says it."""
     bench = load_benchmark("bench_map")
     strip = bench.mixtures(bench.EIGHTY_FIVE_NM, (6, 6), seed=2)
