@@ -327,7 +327,10 @@ def histograms(wheel: Wheel, draws: int = DRAWS, seed: int = 0) -> tuple[Histogr
         ("stiffness K$_s$ at 15 mm [kPa m$^{-N}$]", "m$^N$/kPa", "stiffness-15mm", "stiffness-sd-15mm", stiffness),
         ("friction angle φ at 520 Pa [°]", "1/°", "friction-angle", "friction-angle-sd", angle),
     )
-    return tuple(Histogram(*words, values[np.isfinite(values)]) for *words, values in rows)
+    return tuple(
+        Histogram(label, per, mean_id, sd_id, values[np.isfinite(values)])
+        for label, per, mean_id, sd_id, values in rows
+    )
 
 
 Named = list[tuple[str, float, float]]

@@ -616,7 +616,7 @@ def usable_positions(telemetry: Telemetry, way_m: FloatArray, findings: Findings
     `way_m` is the way of the rims until each row. (n,) Raises DataError where fewer than two are left.
     """
     given, value = telemetry.fixed, telemetry.fix_covariance_m2
-    complete = np.isfinite(value).all(axis=(1, 2))
+    complete = np.asarray(np.isfinite(value).all(axis=(1, 2)))
     least = np.linalg.eigvalsh(np.where(complete[:, None, None], value, -np.eye(2)))[:, 0]
     sigma = np.where(least > 0, np.sqrt(np.abs(np.trace(value, axis1=1, axis2=2)) / 2.0), np.nan)
     bad = "bad covariance", "errors that are missing, 0, negative, or no covariance"

@@ -19,9 +19,8 @@ from lunarsci.io.tables import check_columns, numbers_of, read_csv_table
 from lunarsci.ranges import refuse
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
-from lunarsci.twin.telemetry.checks import LEAST_ROW_M
 from lunarsci.twin.telemetry.hypotheses import REPORTED
-from lunarsci.twin.telemetry.reading import SURE
+from lunarsci.twin.telemetry.reading import LEAST_ROW_M, SURE
 from lunarsci.twin.telemetry.simulated import deepest_at
 from lunarsci.twin.telemetry.states import MOST_LEFT_OUT, DriveStates, StateRows
 
