@@ -39,7 +39,7 @@ BLOB_SCALE_PX = 24.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Frame:
+class ScenePixels:
     """Masks and brightness, each of shape (256, 256).
 
     Attributes
@@ -62,7 +62,7 @@ def generator(seed: int, stream: str) -> np.random.Generator:
     return np.random.default_rng([seed, *stream.encode()])
 
 
-def frame(scene: Scene, seed: int) -> Frame:
+def frame(scene: Scene, seed: int) -> ScenePixels:
     """Place rock, texture and shadow. Raises ParameterError when no sunlit pixel is left in the short-wave field."""
     rock = _disk(scene.rock) if scene.rock is not None else np.zeros(SHAPE, dtype=bool)
     shadow = _shadow(scene, seed)
@@ -72,7 +72,7 @@ def frame(scene: Scene, seed: int) -> Frame:
     brightness[shadow] *= np.float32(scene.shadow_level)
     for array in (rock, shadow, brightness):
         array.setflags(write=False)
-    return Frame(rock, shadow, brightness)
+    return ScenePixels(rock, shadow, brightness)
 
 
 def _disk(rock: SceneRock) -> BoolArray:
@@ -203,7 +203,7 @@ class SceneRadiance:
 
     scene: Scene
     seed: int
-    frame: Frame
+    frame: ScenePixels
     vnir: FloatArray
     swir: FloatArray
     vnir_distance_au: float
@@ -294,7 +294,7 @@ def _material_radiance(
     return radiance
 
 
-def _truth(scene: Scene, materials: list[Material], pixels: Frame) -> Truth:
+def _truth(scene: Scene, materials: list[Material], pixels: ScenePixels) -> Truth:
     seen = footprint_mask()
     lit = seen & ~pixels.shadow
     count = int(lit.sum())
@@ -313,7 +313,7 @@ def _truth(scene: Scene, materials: list[Material], pixels: Frame) -> Truth:
     )
 
 
-def _shares(pixels: Frame, where: BoolArray, count: int) -> FloatArray:
+def _shares(pixels: ScenePixels, where: BoolArray, count: int) -> FloatArray:
     """Brightness of soil and of rock within a mask, over the number of its pixels; shape (2,)."""
     soil = pixels.brightness[where & ~pixels.rock].sum(dtype=np.float64)
     rock = pixels.brightness[where & pixels.rock].sum(dtype=np.float64)
@@ -331,7 +331,7 @@ def _channel_gain(instrument: Instrument, seed: int, wavelength_nm: FloatArray, 
     return gain
 
 
-def _cube(pixels: Frame, radiance: FloatArray, noise: float, rng: np.random.Generator) -> FloatCube:
+def _cube(pixels: ScenePixels, radiance: FloatArray, noise: float, rng: np.random.Generator) -> FloatCube:
     """Images from brightness and the radiance of soil and rock; band by band, which stays in the processor's cache."""
     soil = np.where(pixels.rock, np.float32(0), pixels.brightness)
     rock = pixels.brightness - soil
