@@ -83,9 +83,10 @@ def command_line(wanted: Collection[str] | None = None) -> typer.Typer:
 
 
 def _add(module: ModuleType, app: typer.Typer) -> None:
-    """Add the commands that a module declares, below its own group where it has one."""
-    group = getattr(module, "app", app)
-    if group is not app:
+    """Add the commands that a module declares, below a group of their own where it has the help of one as `GROUP`."""
+    group = app
+    if text := getattr(module, "GROUP", ""):
+        group = typer.Typer(no_args_is_help=True, help=text)
         app.add_typer(group, name=module.__name__.rpartition(".")[2])
     for function in vars(module).values():
         if getattr(function, "__module__", "") == module.__name__ and hasattr(function, "add_to"):
@@ -97,10 +98,8 @@ def _summary(group: str, command: str) -> str:
     place = find_spec(f".{group}.{command}", __name__)
     tree = ast.parse(Path(str(place and place.origin)).read_text("utf-8"))
     for node in tree.body:
-        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Call):  # a group of its own: typer.Typer(help=)
-            for part in node.value.keywords:
-                if part.arg == "help" and isinstance(part.value, ast.Constant):
-                    return str(part.value.value)
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "GROUP":
+            return str(ast.literal_eval(node.value))
         if isinstance(node, ast.FunctionDef) and node.returns and "Report" in ast.unparse(node.returns):
             return " ".join((ast.get_docstring(node) or "").split("\n\n")[0].split())
     return ""

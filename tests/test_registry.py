@@ -13,8 +13,6 @@ from textwrap import dedent
 
 import lunarsci.cli.images
 import pytest
-from former import in_python
-from fuzz_readers import path_parameters, readers_of
 from lunarsci.cli import main
 
 import lunarsci.images.jobs
@@ -188,6 +186,9 @@ def newcomer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def test_a_new_command_is_known_everywhere(newcomer: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from former import in_python
+    from fuzz_readers import path_parameters, readers_of
+
     def printed(*arguments: str) -> str:
         assert main([*arguments]) == 0, capsys.readouterr().err
         return capsys.readouterr().out
