@@ -245,7 +245,9 @@ def test_a_new_format_is_known_everywhere(
     monkeypatch.setattr("lunarsci.spectra.readers.dispatch.FORMATS", formats := {"plain": plain} | registry.FORMATS)
     monkeypatch.setattr("lunarsci.guide.info.FORMATS", formats)
     file = tmp_path / "rock.dat"
-    file.write_text("PLAIN\n" + "".join(f"{nm} {0.2 + nm * 1e-5:.5f}\n" for nm in range(400, 2500, 10)), "utf-8")
+    file.write_text(
+        "PLAIN, below depth_m\n" + "".join(f"{nm} {0.2 + nm * 1e-5:.5f}\n" for nm in range(400, 2500, 10)), "utf-8"
+    )
     (spectrum,) = read_spectra(str(file))
     assert spectrum.id == "rock" and spectrum.metadata["format"] == "plain" and spectrum.wavelength_nm[0] == 400
     assert info(file).kind == "spectra" and "lunarsci spectra fit" in info(file).commands
