@@ -50,10 +50,10 @@ JOB = '''
     from matplotlib.figure import Figure
 
     from lunarsci.images.jobs.relief_request import ReliefRequest
-    from lunarsci.io.inputs import InputFile, Source, read_input
+    from lunarsci.io.inputs import Source, read_input
     from lunarsci.io.tables import read_csv_table
     from lunarsci.options import request_of
-    from lunarsci.result import MadeFrom, Result, job
+    from lunarsci.result import Result, job
 
 
     @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -62,12 +62,9 @@ JOB = '''
 
         schema = "images-relief/1"
         page_title = "Relief"
-        source: InputFile
+        sources = ("Nobody (2000), J. Nothing 1, 2",)
+        inputs: Mapping[str, str]
         relief_m: float
-
-        @property
-        def made_from(self) -> MadeFrom:
-            return MadeFrom(inputs={self.source.name: self.source.sha256}, sources=("Nobody (2000), J. Nothing 1, 2",))
 
         def to_dict(self) -> dict[str, Any]:
             return {"relief_m": self.relief_m}
@@ -91,7 +88,8 @@ JOB = '''
         asked = request_of(ReliefRequest, request, options)
         source = read_input(ground)
         heights = read_csv_table(source)["height_m"]
-        return TerrainRelief(source=source, relief_m=float(heights.max()) - max(asked.above, float(heights.min())))
+        relief_m = float(heights.max()) - max(asked.above, float(heights.min()))
+        return TerrainRelief(inputs={source.name: source.sha256}, relief_m=relief_m)
     '''
 COMMAND = '''
     """`lunarsci images relief`: the range of heights of a terrain."""

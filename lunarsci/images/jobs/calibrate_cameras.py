@@ -27,7 +27,7 @@ from lunarsci.images.pictures import Picture, read_picture
 from lunarsci.images.rig_files import camera_text, rig_text
 from lunarsci.io.inputs import InputFile
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import Result, job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -80,15 +80,12 @@ class CalibratedCameras(Result):
     """
 
     schema: ClassVar[str] = "images-calibrate/1"
+    sources = SOURCES
     calibration: CameraCalibration
     used: tuple[tuple[str, ...], ...]
     points: Mapping[str, int | None]
     request: CalibrateCamerasRequest
     inputs: Mapping[str, str]
-
-    @property
-    def made_from(self) -> MadeFrom:
-        return MadeFrom(inputs=self.inputs, sources=SOURCES)
 
     @property
     def swapped(self) -> bool:

@@ -22,7 +22,7 @@ from lunarsci.io.documents import toml_document
 from lunarsci.io.inputs import InputFile, read_input, text
 from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Progress, Result, job
+from lunarsci.result import Progress, Result, job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -50,14 +50,11 @@ class LocatedStations(Result):
     """Where the rover, or its left camera, was, in the frame of the first pose."""
 
     schema: ClassVar[str] = "images-locate/1"
+    sources = SOURCES
     localised: Localised
     rig: StereoRig
     inputs: Mapping[str, str]
     synthetic: bool
-
-    @property
-    def made_from(self) -> MadeFrom:
-        return MadeFrom(inputs=self.inputs, sources=SOURCES)
 
     @property
     def untrusted(self) -> str:

@@ -20,7 +20,7 @@ from lunarsci.images.jobs.requests import MergeRequest
 from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import Result, job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,14 +41,11 @@ class MergedStations(Result):
     """One map of several stations."""
 
     schema: ClassVar[str] = "images-merge/1"
+    sources = SOURCES
     names: tuple[str, ...]
     models: tuple[ElevationModel, ...]
     merged: MergedMap
     inputs: Mapping[str, str]
-
-    @property
-    def made_from(self) -> MadeFrom:
-        return MadeFrom(inputs=self.inputs, sources=SOURCES)
 
     @property
     def untrusted(self) -> str:
