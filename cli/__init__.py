@@ -20,7 +20,7 @@ import typer
 from lunarsci.errors import BatchError, NoFilesError, TakenError
 from lunarsci.io.atomic import STOPPING, written
 from lunarsci.names import nearest
-from lunarsci.registry import COMMANDS
+from lunarsci.registry import COMMANDS, SINGLE
 
 from .shared.talk import FAILED, NO_FILES, USAGE, failure_line, interrupt, interrupted, say
 
@@ -29,15 +29,6 @@ GROUPS = {
     "regolith": "What the ground is: wheel-soil forces, the soil that wheel states reveal, and soils alike.",
     "images": "What pictures show: terrain, where the rover stands, how deep its tracks are, and rocks.",
     "twin": "Whether the next drive is safe: a rover simulated on deformable ground.",
-}
-SINGLE = {
-    "info": "What a file is, what is in it, and which commands take it.",
-    "template": "A file to begin with: rover, soil, plan, mission, craters or telemetry.",
-    "report": "Results of other commands as one HTML page: answers, pictures, errors, assumptions, what to cite.",
-    "cite": "What to cite for results, as BibTeX.",
-    "doctor": "Whether lunarsci works here: versions, extras, compiled code, and a small test of each part.",
-    "reproduce": "Numbers of Ding et al. (2024) beside what lunarsci makes of what they publish, with a verdict each.",
-    "demo": "Run the whole chain on embedded synthetic data: rock, drive, ground. Under a minute on two cores.",
 }
 HELP = (
     "From a lunar rover's spectra and wheel telemetry to what the rock is, what the ground is, and whether the next "
