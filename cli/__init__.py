@@ -20,7 +20,7 @@ import typer
 from lunarsci.errors import BatchError, NoFilesError, TakenError
 from lunarsci.io.atomic import STOPPING, written
 from lunarsci.names import nearest
-from lunarsci.registry import COMMANDS
+from lunarsci.registry import COMMANDS, SINGLE
 
 from .shared.talk import FAILED, NO_FILES, USAGE, failure_line, interrupt, interrupted, say
 
@@ -29,15 +29,6 @@ GROUPS = {
     "regolith": "What the ground is: wheel-soil forces, the soil that wheel states reveal, and soils alike.",
     "images": "What pictures show: terrain, where the rover stands, how deep its tracks are, and rocks.",
     "twin": "Whether the next drive is safe: a rover simulated on deformable ground.",
-}
-SINGLE = {
-    "info": "What a file is, what is in it, and which commands take it.",
-    "template": "A file to begin with: rover, soil, plan, mission, craters or telemetry.",
-    "report": "Results of other commands as one HTML page: answers, pictures, errors, assumptions, what to cite.",
-    "cite": "What to cite for results, as BibTeX.",
-    "doctor": "Whether lunarsci works here: versions, extras, compiled code, and a small test of each part.",
-    "reproduce": "Numbers of Ding et al. (2024) beside what lunarsci makes of what they publish, with a verdict each.",
-    "demo": "Run the whole chain on embedded synthetic data: rock, drive, ground. Under a minute on two cores.",
 }
 HELP = (
     "From a lunar rover's spectra and wheel telemetry to what the rock is, what the ground is, and whether the next "
@@ -83,9 +74,10 @@ def command_line(wanted: Collection[str] | None = None) -> typer.Typer:
 
 
 def _add(module: ModuleType, app: typer.Typer) -> None:
-    """Add the commands that a module declares, below its own group where it has one."""
-    group = getattr(module, "app", app)
-    if group is not app:
+    """Add the commands that a module declares, below a group of their own where it has the help of one as `GROUP`."""
+    group = app
+    if text := getattr(module, "GROUP", ""):
+        group = typer.Typer(no_args_is_help=True, help=text)
         app.add_typer(group, name=module.__name__.rpartition(".")[2])
     for function in vars(module).values():
         if getattr(function, "__module__", "") == module.__name__ and hasattr(function, "add_to"):
@@ -97,10 +89,8 @@ def _summary(group: str, command: str) -> str:
     place = find_spec(f".{group}.{command}", __name__)
     tree = ast.parse(Path(str(place and place.origin)).read_text("utf-8"))
     for node in tree.body:
-        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Call):  # a group of its own: typer.Typer(help=)
-            for part in node.value.keywords:
-                if part.arg == "help" and isinstance(part.value, ast.Constant):
-                    return str(part.value.value)
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "GROUP":
+            return str(ast.literal_eval(node.value))
         if isinstance(node, ast.FunctionDef) and node.returns and "Report" in ast.unparse(node.returns):
             return " ".join((ast.get_docstring(node) or "").split("\n\n")[0].split())
     return ""

@@ -8,7 +8,6 @@ from .shared.command import command
 from .shared.emit import Report
 from .shared.options import Output
 from .shared.table import TextTable
-from .shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.guide.doctor import HealthReport
@@ -27,8 +26,7 @@ def doctor(output: Output) -> Report:
     """
     from lunarsci.guide.doctor import doctor
 
-    with progress("testing", quiet=output.quiet) as update:
-        report = doctor(progress=update)
+    report = doctor(progress=output.progress("testing"))
     return Report(report, [_table(report)])
 
 

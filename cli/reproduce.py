@@ -10,7 +10,6 @@ from .shared.command import command
 from .shared.emit import Report
 from .shared.options import SPREAD, Output, option
 from .shared.table import TextTable
-from .shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.reproduce.job import Reproduction
@@ -37,8 +36,7 @@ def reproduce(request: ReproduceRequest, output: Output) -> Report:
     """
     from lunarsci.reproduce.job import reproduce
 
-    with progress("reproducing", quiet=output.quiet) as update:
-        reproduction = reproduce(request, progress=update)
+    reproduction = reproduce(request, progress=output.progress("reproducing"))
     return Report(reproduction, [_table(reproduction, output.verbose)])
 
 

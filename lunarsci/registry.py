@@ -52,6 +52,16 @@ COMMANDS: dict[str, dict[str, str]] = {
 """Of each part the commands, in the order of their help, and the function of `import lunarsci` that is the same job; ''
 where there is none. A command is the module `cli/PART/COMMAND.py`; its job is the module of the function's name in
 `lunarsci/PART/jobs`, or of the command's."""
+SINGLE: dict[str, str] = {
+    "info": "What a file is, what is in it, and which commands take it.",
+    "template": "A file to begin with: rover, soil, plan, mission, craters or telemetry.",
+    "report": "Results of other commands as one HTML page: answers, pictures, errors, assumptions, what to cite.",
+    "cite": "What to cite for results, as BibTeX.",
+    "doctor": "Whether lunarsci works here: versions, extras, compiled code, and a small test of each part.",
+    "reproduce": "Numbers of Ding et al. (2024) beside what lunarsci makes of what they publish, with a verdict each.",
+    "demo": "Run the whole chain on embedded synthetic data: rock, drive, ground. Under a minute on two cores.",
+}
+"""Commands of no part, modules `cli/COMMAND.py`, and what stands of them in the help."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -188,7 +188,8 @@ class Result(ABC):
     ----------
     schema : name and version of its JSON, such as `spectra-fit/1`.
     page_title : what it is called on a page of `lunarsci report`, such as `Minerals`.
-    made_from : what it was made from.
+    sources : what to cite for all results of the class.
+    made_from : what it was made from: `sources`, and its attributes `inputs`, `tables` and `seed` if it has them.
     doubt : why it should not be trusted or acted on, reason by reason.
     untrusted : the same as one sentence; '' if it may be.
     failures : inputs that gave no result, one sentence each.
@@ -197,6 +198,7 @@ class Result(ABC):
 
     schema: ClassVar[str] = ""
     page_title: ClassVar[str] = ""
+    sources: ClassVar[Sequence[str]] = ()
     asked: Asked | None = field(default=None, compare=False)
     renderer: ClassVar[Any] = None
     """Where the text and the HTML of a result come from; without it they are those of its table."""
@@ -215,7 +217,8 @@ class Result(ABC):
 
     @property
     def made_from(self) -> MadeFrom:
-        return MadeFrom()
+        given = {name: getattr(self, name) for name in ("inputs", "tables", "seed") if hasattr(self, name)}
+        return MadeFrom(sources=self.sources, **given)
 
     @property
     def doubt(self) -> Doubt:

@@ -13,8 +13,6 @@ from textwrap import dedent
 
 import lunarsci.cli.images
 import pytest
-from former import in_python
-from fuzz_readers import path_parameters, readers_of
 from lunarsci.cli import main
 
 import lunarsci.images.jobs
@@ -52,10 +50,10 @@ JOB = '''
     from matplotlib.figure import Figure
 
     from lunarsci.images.jobs.relief_request import ReliefRequest
-    from lunarsci.io.inputs import InputFile, Source, read_input
+    from lunarsci.io.inputs import Source, read_input
     from lunarsci.io.tables import read_csv_table
     from lunarsci.options import request_of
-    from lunarsci.result import MadeFrom, Result, job
+    from lunarsci.result import Result, job
 
 
     @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -64,12 +62,9 @@ JOB = '''
 
         schema = "images-relief/1"
         page_title = "Relief"
-        source: InputFile
+        sources = ("Nobody (2000), J. Nothing 1, 2",)
+        inputs: Mapping[str, str]
         relief_m: float
-
-        @property
-        def made_from(self) -> MadeFrom:
-            return MadeFrom(inputs={self.source.name: self.source.sha256}, sources=("Nobody (2000), J. Nothing 1, 2",))
 
         def to_dict(self) -> dict[str, Any]:
             return {"relief_m": self.relief_m}
@@ -93,7 +88,8 @@ JOB = '''
         asked = request_of(ReliefRequest, request, options)
         source = read_input(ground)
         heights = read_csv_table(source)["height_m"]
-        return TerrainRelief(source=source, relief_m=float(heights.max()) - max(asked.above, float(heights.min())))
+        relief_m = float(heights.max()) - max(asked.above, float(heights.min()))
+        return TerrainRelief(inputs={source.name: source.sha256}, relief_m=relief_m)
     '''
 COMMAND = '''
     """`lunarsci images relief`: the range of heights of a terrain."""
@@ -188,6 +184,9 @@ def newcomer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def test_a_new_command_is_known_everywhere(newcomer: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from former import in_python
+    from fuzz_readers import path_parameters, readers_of
+
     def printed(*arguments: str) -> str:
         assert main([*arguments]) == 0, capsys.readouterr().err
         return capsys.readouterr().out
@@ -244,7 +243,9 @@ def test_a_new_format_is_known_everywhere(
     monkeypatch.setattr("lunarsci.spectra.readers.dispatch.FORMATS", formats := {"plain": plain} | registry.FORMATS)
     monkeypatch.setattr("lunarsci.guide.info.FORMATS", formats)
     file = tmp_path / "rock.dat"
-    file.write_text("PLAIN\n" + "".join(f"{nm} {0.2 + nm * 1e-5:.5f}\n" for nm in range(400, 2500, 10)), "utf-8")
+    file.write_text(
+        "PLAIN, below depth_m\n" + "".join(f"{nm} {0.2 + nm * 1e-5:.5f}\n" for nm in range(400, 2500, 10)), "utf-8"
+    )
     (spectrum,) = read_spectra(str(file))
     assert spectrum.id == "rock" and spectrum.metadata["format"] == "plain" and spectrum.wavelength_nm[0] == 400
     assert info(file).kind == "spectra" and "lunarsci spectra fit" in info(file).commands

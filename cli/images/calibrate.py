@@ -12,7 +12,6 @@ from ..shared.command import command
 from ..shared.emit import Report
 from ..shared.options import Output, option
 from ..shared.table import TextTable, plus_minus
-from ..shared.talk import progress
 from .cameras import SHOWN, number
 
 if TYPE_CHECKING:
@@ -61,10 +60,12 @@ def calibrate(output: Output, pictures: Pictures, request: CalibrateCamerasReque
     from lunarsci.images.calibration import pictures_matching
     from lunarsci.images.jobs.calibrate_cameras import calibrate_cameras
 
-    with progress("looking for the board", quiet=output.quiet) as update:
-        cameras = calibrate_cameras(
-            pictures_matching(pictures), pictures_matching([right] if right else [], "right"), request, progress=update
-        )
+    cameras = calibrate_cameras(
+        pictures_matching(pictures),
+        pictures_matching([right] if right else [], "right"),
+        request,
+        progress=output.progress("looking for the board"),
+    )
 
     return Report(cameras, result_tables(cameras), formats={".toml": lambda _: cameras.toml()})
 

@@ -14,7 +14,6 @@ from ..shared.command import command
 from ..shared.emit import Report
 from ..shared.options import Output, option
 from ..shared.table import TextTable
-from ..shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.images.jobs.dem import StereoTerrain
@@ -52,8 +51,7 @@ def dem(left: Left, right: Right, request: DemRequest, output: Output, terrain: 
     from lunarsci.images.jobs.dem import dem
 
     output.check_extra("--save-terrain", terrain, (".npz", ".tif", ".tiff"))
-    with progress("matching", quiet=output.quiet) as update:
-        made = dem(left, right, request, progress=update)
+    made = dem(left, right, request, progress=output.progress("matching"))
     return Report(made, result_tables(made), extras={} if terrain is None else {terrain: _content(made, terrain)})
 
 

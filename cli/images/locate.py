@@ -12,7 +12,6 @@ from ..shared.command import command
 from ..shared.emit import Report
 from ..shared.options import Output, option
 from ..shared.table import TextTable, plus_minus
-from ..shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.images.jobs.locate import LocatedStations
@@ -52,8 +51,7 @@ def locate(output: Output, stations: Folders, request: LocateRequest) -> Report:
     """
     from lunarsci.images.jobs.locate import locate
 
-    with progress("locating", quiet=output.quiet) as update:
-        result = locate(stations, request, progress=update)
+    result = locate(stations, request, progress=output.progress("locating"))
     return Report(result, result_tables(result), files=result.files())
 
 

@@ -13,7 +13,6 @@ from ..shared.command import command
 from ..shared.emit import Report
 from ..shared.options import Output, option
 from ..shared.table import TextTable, plus_minus
-from ..shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.images.jobs.merge import MergedStations
@@ -42,8 +41,7 @@ def merge(output: Output, dems: Elevations, request: MergeRequest) -> Report:
     """
     from lunarsci.images.jobs.merge import merge
 
-    with progress("merging", quiet=output.quiet) as update:
-        merged = merge(dems, request, progress=update)
+    merged = merge(dems, request, progress=output.progress("merging"))
     return Report(merged, result_tables(merged), formats={end: _writer(make) for end, make in merged.files().items()})
 
 

@@ -12,7 +12,6 @@ from ..shared.command import command
 from ..shared.emit import Report
 from ..shared.options import Output, option
 from ..shared.table import TextTable
-from ..shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.images.jobs.render import SyntheticPair
@@ -54,8 +53,7 @@ def render(output: Output, request: RenderRequest, terrain: Terrain = None) -> R
     """
     from lunarsci.images.jobs.render import render
 
-    with progress("rendering", quiet=output.quiet) as update:
-        result = render(terrain, request, progress=update)
+    result = render(terrain, request, progress=output.progress("rendering"))
     return Report(result, result_tables(result), files=result.files())
 
 

@@ -10,7 +10,6 @@ from ..shared.command import command
 from ..shared.emit import Report
 from ..shared.options import Output, option
 from ..shared.table import TextTable, plus_minus
-from ..shared.talk import progress
 from .track import Elevation
 
 if TYPE_CHECKING:
@@ -39,8 +38,7 @@ def rocks(output: Output, dem: Elevation, request: RocksRequest) -> Report:
     """
     from lunarsci.images.jobs.rocks import rocks
 
-    with progress("looking for rocks", quiet=output.quiet) as update:
-        result = rocks(dem, request, progress=update)
+    result = rocks(dem, request, progress=output.progress("looking for rocks"))
 
     return Report(result, result_tables(result), formats={".geojson": lambda _: result.geojson()})
 

@@ -12,7 +12,6 @@ from ..shared.command import command
 from ..shared.emit import Report
 from ..shared.options import Output, option
 from ..shared.table import TextTable
-from ..shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.images.jobs.track import TrackSinkage
@@ -50,8 +49,7 @@ def track(output: Output, dem: Elevation, request: TrackRequest) -> Report:
     """
     from lunarsci.images.jobs.track import track
 
-    with progress("measuring the track", quiet=output.quiet) as update:
-        result = track(dem, request, progress=update)
+    result = track(dem, request, progress=output.progress("measuring the track"))
     return Report(result, result_tables(result))
 
 

@@ -13,7 +13,6 @@ from ..shared.command import command
 from ..shared.emit import Report
 from ..shared.options import Output, option
 from ..shared.table import UNKNOWN, TextTable, plus_minus
-from ..shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.regolith.identify import Estimate, Identification, Sensitivity
@@ -84,8 +83,7 @@ def identify(states: States, request: IdentifyRequest, output: Output) -> Report
     """
     from lunarsci.regolith.jobs.identify import identify as identify_soil
 
-    with progress("identifying", quiet=output.quiet) as update:
-        soil = identify_soil(states, request, progress=update)
+    soil = identify_soil(states, request, progress=output.progress("identifying"))
     return Report(soil, result_tables(soil))
 
 

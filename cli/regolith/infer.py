@@ -14,7 +14,6 @@ from ..shared.command import command
 from ..shared.emit import Report
 from ..shared.options import Output, option
 from ..shared.table import TextTable, significant
-from ..shared.talk import progress
 from .identify import OPTIONS as SINGLE
 from .identify import States, read_as, single_tables, wheel_text
 
@@ -79,8 +78,7 @@ def infer(states: States, request: InferRequest, output: Output, posterior: Post
     from lunarsci.regolith.jobs.infer import infer as infer_soil
 
     output.check_extra("--posterior", posterior, (".csv", ".json"))
-    with progress("the posterior", quiet=output.quiet) as update:
-        soil = infer_soil(states, request, progress=update)
+    soil = infer_soil(states, request, progress=output.progress("the posterior"))
     extras = {posterior: lambda: soil.soils(posterior.suffix.lower())} if posterior else {}
     return Report(soil, result_tables(soil), extras=extras)
 

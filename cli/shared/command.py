@@ -73,7 +73,8 @@ def command(
                     handed = {key: value for key, value in options.items() if key not in fields}
                     if request is not None:
                         handed["request"] = request(**_fields(request, {key: options[key] for key in fields}))
-                    report = function(**handed, **({"output": output} if wants_output else {}))
+                    with output.bars:
+                        report = function(**handed, **({"output": output} if wants_output else {}))
                     report = dataclasses.replace(report, worded=worded)
                     code = emit(report, output, _provenance(context, report, options, heard))
             except LunarSciError as error:

@@ -5,7 +5,8 @@ import inspect
 import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import ExitStack
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, get_origin, get_type_hints
 
@@ -15,6 +16,8 @@ from lunarsci.io.atomic import check_folder, check_target
 from lunarsci.io.documents import toml_document
 from lunarsci.names import meant, one_of
 from lunarsci.options import choices_of, meanings
+
+from .talk import progress
 
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 PANEL = "Output"
@@ -49,6 +52,11 @@ class Output:
     columns: str | None = None
     folder: bool = False
     failed: Path | None = None
+    bars: ExitStack = field(default_factory=ExitStack, repr=False)
+
+    def progress(self, description: str) -> Callable[[int, int], None]:
+        """`update(done, total)` of a bar that is there until the command's function has ended."""
+        return self.bars.enter_context(progress(description, quiet=self.quiet))
 
     @property
     def asked(self) -> str:

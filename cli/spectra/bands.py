@@ -14,7 +14,6 @@ from ..shared.command import command
 from ..shared.emit import Report
 from ..shared.options import BLOCKS, Output, option
 from ..shared.table import SHOWN, TextTable, bare, counted, plus_minus, verdict_table
-from ..shared.talk import progress
 from .options import ONLY, UNITS, Files
 
 if TYPE_CHECKING:
@@ -48,8 +47,7 @@ def bands(files: Files, request: BandsRequest, output: Output, plane: Plane = No
     from lunarsci.spectra.jobs.bands import bands
 
     output.check_extra("--plane", plane)
-    with progress("measuring bands", quiet=output.quiet) as update:
-        result = bands(files, request, progress=update)
+    result = bands(files, request, progress=output.progress("measuring bands"))
     return Report(result, lambda: result_tables(result), pictures={plane: result.plane} if plane else {})
 
 

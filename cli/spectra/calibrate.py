@@ -13,7 +13,6 @@ from ..shared.command import command
 from ..shared.emit import Report
 from ..shared.options import Output, option
 from ..shared.table import TextTable, counted, plus_minus
-from ..shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.spectra.jobs.calibrate import Calibrations
@@ -51,8 +50,7 @@ def calibrate(files: Products, request: CalibrateRequest, output: Output) -> Rep
     from lunarsci.spectra.jobs.calibrate import calibrate, check_fits
 
     check_fits(output.path, files)
-    with progress("calibrating", quiet=output.quiet) as update:
-        result = calibrate(files, request, progress=update)
+    result = calibrate(files, request, progress=output.progress("calibrating"))
     formats = {".ecsv": result.to_ecsv, ".fits": result.to_fits}
     return Report(result, result_tables(result), formats=formats)
 

@@ -13,7 +13,6 @@ from ..shared.command import command
 from ..shared.emit import Report
 from ..shared.options import BLOCKS, Output, RequestOption, option
 from ..shared.table import SHOWN, UNKNOWN, TextTable, plus_minus, verdict_table
-from ..shared.talk import progress
 from .options import ONLY, UNITS, Files
 
 if TYPE_CHECKING:
@@ -60,8 +59,7 @@ def fit_spectra(files: Files, request: FitRequest, output: Output) -> Report:
     from lunarsci.spectra.jobs.fit import fit
 
     to_file = output.path is not None and output.path.suffix.lower() == ".fit"
-    with progress("fitting", quiet=output.quiet) as update:
-        fits = fit(files, replace(request, to_fit_file=to_file), progress=update)
+    fits = fit(files, replace(request, to_fit_file=to_file), progress=output.progress("fitting"))
     return Report(fits, lambda: result_tables(fits), formats={".fit": lambda _: fits.fit_file().encode()})
 
 

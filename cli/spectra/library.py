@@ -21,10 +21,8 @@ from .options import UNITS, Files
 if TYPE_CHECKING:
     from lunarsci.spectra.jobs.library import CheckedLibrary, Library
 
-app = typer.Typer(
-    no_args_is_help=True,
-    help="Libraries of end-member spectra: make one from laboratory files, list, draw and check it.",
-)
+GROUP = "Libraries of end-member spectra: make one from laboratory files, list, draw and check it."
+"""Help of the group that these commands are."""
 
 PICTURES = (".png", ".svg", ".pdf")
 Libraries = Annotated[

@@ -13,7 +13,6 @@ from ..shared.command import command
 from ..shared.emit import Report
 from ..shared.options import BLOCKS, Output, option
 from ..shared.table import TextTable
-from ..shared.talk import progress
 from .options import FILE
 
 if TYPE_CHECKING:
@@ -77,8 +76,14 @@ def map_cube(cube: CubeFile, request: MapRequest, output: Output, spectrum: Spec
     if spectrum is not None:
         one = pixel(cube, spectrum, request)
         return Report(one, [_pixel_table(one)])
-    with progress("mapping lines", quiet=output.quiet) as update:
-        result = map(cube, output.path, request, force=output.force, time=not output.no_time, progress=update)
+    result = map(
+        cube,
+        output.path,
+        request,
+        force=output.force,
+        time=not output.no_time,
+        progress=output.progress("mapping lines"),
+    )
     return Report(result, [_table(result)], written=[result.path])
 
 

@@ -13,7 +13,6 @@ from ..shared.command import command
 from ..shared.emit import Report
 from ..shared.options import SPREAD, Output, option
 from ..shared.table import SHOWN, TextTable
-from ..shared.talk import progress
 
 if TYPE_CHECKING:
     from lunarsci.spectra.jobs.match import Matches
@@ -70,8 +69,7 @@ def match(request: MatchRequest, output: Output, rocks: Rocks = None) -> Report:
     """
     from lunarsci.spectra.jobs.match import match
 
-    with progress("matching", quiet=output.quiet) as update:
-        result = match(rocks or (), request, progress=update)
+    result = match(rocks or (), request, progress=output.progress("matching"))
     return Report(result, lambda: result_tables(result))
 
 

@@ -11,7 +11,6 @@ from ..shared.command import command
 from ..shared.emit import Report
 from ..shared.options import Output, option
 from ..shared.table import UNKNOWN, TextTable, counted, plus_minus, verdict_table
-from ..shared.talk import progress
 from .options import ONLY, UNITS, Files
 
 if TYPE_CHECKING:
@@ -52,8 +51,7 @@ def unmix_spectra(files: Files, request: UnmixRequest, output: Output) -> Report
     """
     from lunarsci.spectra.jobs.unmix import unmix
 
-    with progress("unmixing", quiet=output.quiet) as update:
-        result = unmix(files, request, progress=update)
+    result = unmix(files, request, progress=output.progress("unmixing"))
     return Report(result, lambda: result_tables(result))
 
 

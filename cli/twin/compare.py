@@ -14,7 +14,6 @@ from ..shared.command import command
 from ..shared.emit import Report
 from ..shared.options import Output, option
 from ..shared.table import TextTable
-from ..shared.talk import progress
 from .history import discrepancy_table
 from .options import AS_WRITTEN, GROUND, HEIGHT_UNIT, INTERPOLATION, SOIL
 
@@ -131,8 +130,7 @@ def _trials(inputs: list[str], request: TrialsRequest, output: Output, save: Pat
     refuse_where({
         "`save` keeps what a belief learns from a prediction, not from trials; leave it out": save is not None
     })  # fmt: skip
-    with progress("trials", quiet=output.quiet) as update:
-        scored = job.compare_trials(inputs, request, progress=update)
+    scored = job.compare_trials(inputs, request, progress=output.progress("trials"))
     return Report(scored, trial_tables(scored))
 
 

@@ -11,7 +11,6 @@ from ..shared.command import command
 from ..shared.emit import Report
 from ..shared.options import SPREAD, Output
 from ..shared.table import TextTable, bare
-from ..shared.talk import progress
 from .options import DRIVE, PlanFile
 
 if TYPE_CHECKING:
@@ -43,8 +42,7 @@ def forces(output: Output, request: DriveRequest, plan: PlanFile = None) -> Repo
     """
     from lunarsci.twin.jobs import forces as job
 
-    with progress("driving", quiet=output.quiet) as update:
-        result = job.forces(plan, request, progress=update)
+    result = job.forces(plan, request, progress=output.progress("driving"))
     return Report(result, wheel_tables(result.title, result.loads, _notes(result)))
 
 

@@ -14,7 +14,6 @@ from ..shared.command import command
 from ..shared.emit import Report
 from ..shared.options import Output, option
 from ..shared.table import TextTable, plus_minus
-from ..shared.talk import progress
 from .forces import wheel_tables
 from .options import AS_WRITTEN, GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, TERRAIN, PlanFile
 
@@ -80,8 +79,7 @@ def loads(
     no_soil = save is not None and request.iterate is None
     refuse_where({"`save` takes the soil of `iterate`; give that, or leave it out": no_soil})
     output.check_extra("--save", save, (".json",))
-    with progress("holding the rover to its motion", quiet=output.quiet) as update:
-        result = job.loads(motion, plan, request, progress=update)
+    result = job.loads(motion, plan, request, progress=output.progress("holding the rover to its motion"))
     if isinstance(result, MotionLoads):
         return Report(result, result_tables(result))
     belief = result.belief

@@ -12,7 +12,6 @@ from ..shared.command import command
 from ..shared.emit import Report
 from ..shared.options import SPREAD, Output, option
 from ..shared.table import TextTable
-from ..shared.talk import progress
 from .terrain import LIMITS, GeoTiff, NamedTerrain, check_files, ground_table
 from .terrain import OPTIONS as OF_TERRAIN
 
@@ -84,8 +83,7 @@ def plan(output: Output, request: PlanRequest, terrain: NamedTerrain = None, geo
     from lunarsci.twin.jobs import plan as job
 
     check_files(output, soil=bool(request.soil) and request.purpose == "path", geotiff=geotiff)
-    with progress("planning", quiet=output.quiet) as update:
-        survey = job.plan(terrain, request, progress=update)
+    survey = job.plan(terrain, request, progress=output.progress("planning"))
     return Report(survey, result_tables(survey), files=survey.files(geotiff=geotiff))
 
 

@@ -88,8 +88,7 @@ def predict(
 
     if animate is not None:
         _check_film(output, animate)
-    with progress("driving", quiet=output.quiet) as update:
-        predicted = job.predict(plan, request, progress=update)
+    predicted = job.predict(plan, request, progress=output.progress("driving"))
     films = {} if animate is None else {animate: lambda: _film(predicted, animate, output.quiet)}
     return Report(predicted, result_tables(predicted), files=predicted.files(), extras=films)
 

@@ -10,7 +10,6 @@ from ..shared.command import command
 from ..shared.emit import Report
 from ..shared.options import Output, option
 from ..shared.table import TextTable
-from ..shared.talk import progress
 from .options import BEFORE, GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, RUTS, SEED, TERRAIN, TIME_STEP, PlanFile
 
 if TYPE_CHECKING:
@@ -52,8 +51,7 @@ def simulate(output: Output, request: SimulateDriveRequest, plan: PlanFile = Non
     """
     from lunarsci.twin.jobs.simulate import simulate_drive
 
-    with progress("driving", quiet=output.quiet) as update:
-        drive = simulate_drive(plan, request, progress=update)
+    drive = simulate_drive(plan, request, progress=output.progress("driving"))
     return Report(drive, [_table(drive)], files=drive.files())
 
 

@@ -12,7 +12,6 @@ from ..shared.command import command
 from ..shared.emit import Report
 from ..shared.options import Output, option
 from ..shared.table import TextTable
-from ..shared.talk import progress
 from .options import CHARGE, DRIVE, EXACT_TERRAIN, SUN
 
 if TYPE_CHECKING:
@@ -51,8 +50,7 @@ def sweep(output: Output, request: SweepRequest, plans: Plans = None) -> Report:
     """
     from lunarsci.twin.jobs import sweep as job
 
-    with progress("designs", quiet=output.quiet) as update:
-        trade = job.sweep(plans, request, progress=update)
+    trade = job.sweep(plans, request, progress=output.progress("designs"))
     return Report(trade, result_tables(trade))
 
 

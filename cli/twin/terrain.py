@@ -12,7 +12,6 @@ from ..shared.command import command
 from ..shared.emit import Report
 from ..shared.options import Output, option
 from ..shared.table import TextTable
-from ..shared.talk import progress
 from .options import GRAVITY, KEEP_OUT
 
 if TYPE_CHECKING:
@@ -64,8 +63,7 @@ def terrain(
     from lunarsci.twin.jobs import terrain as job
 
     check_files(output, soil=request.soil is not None, geotiff=geotiff)
-    with progress("looking at the ground", quiet=output.quiet) as update:
-        survey = job.terrain(terrain, request, progress=update)
+    survey = job.terrain(terrain, request, progress=output.progress("looking at the ground"))
     return Report(survey, [ground_table(survey)], files=survey.files(geotiff=geotiff))
 
 

@@ -14,7 +14,6 @@ from ..shared.command import command
 from ..shared.emit import Report
 from ..shared.options import SPREAD, Output, option
 from ..shared.table import TextTable
-from ..shared.talk import progress
 from .history import discrepancy_table, parameter_table
 from .options import AS_WRITTEN, GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, TERRAIN
 
@@ -110,8 +109,7 @@ def update(
     output.check_extra("--save-map", save_map, (".json",))
     output.check_extra("--save-terrain", save_terrain, (".npz",))
     asked = dataclasses.replace(request, by_place=save_map is not None or save_terrain is not None)
-    with progress("driving on many soils", quiet=output.quiet) as advance:
-        learned = job.update(states, asked, progress=advance)
+    learned = job.update(states, asked, progress=output.progress("driving on many soils"))
     made = {
         save: lambda: learned.belief.to_json().encode(),
         save_map: learned.map_bytes,

@@ -9,7 +9,7 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from types import NoneType
 from typing import Any, TypeVar, get_args, get_type_hints
@@ -123,6 +123,13 @@ def json_document(content: str, parse_constant: Callable[[str], Any] | None = No
         return json.loads(content, parse_int=number, parse_float=number, parse_constant=parse_constant)
     except RecursionError as error:
         raise json.JSONDecodeError(TOO_DEEP, content, 0) from error
+
+
+def geojson_feature(shape: str, coordinates: Any, properties: Mapping[str, Any]) -> dict[str, Any]:
+    """A feature of GeoJSON (RFC 7946); properties that are not finite are null."""
+    about = {key: None if isinstance(value, float) and not math.isfinite(value) else value
+             for key, value in properties.items()}  # fmt: skip
+    return {"type": "Feature", "geometry": {"type": shape, "coordinates": coordinates}, "properties": about}
 
 
 def yaml_document(content: str) -> Any:

@@ -1,4 +1,4 @@
-"""Sentences for drives and pictures: the ground, the way, what was predicted, driven and learned; cameras and rocks."""
+"""Sentences for all but spectra: soils and wheels, pictures, the ground, drives from their plan to what they teach."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -29,7 +29,7 @@ from lunarsci.images.rig_files import camera_text, rig_text
 from lunarsci.io.inputs import InputFile
 from lunarsci.options import request_of
 from lunarsci.ranges import refuse
-from lunarsci.result import Doubt, MadeFrom, Result, job
+from lunarsci.result import Doubt, Result, job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -78,15 +78,12 @@ class CalibratedCameras(Result):
     """
 
     schema: ClassVar[str] = "images-calibrate/1"
+    sources = SOURCES
     calibration: CameraCalibration
     used: tuple[tuple[str, ...], ...]
     points: Mapping[str, int | None]
     request: CalibrateCamerasRequest
     inputs: Mapping[str, str]
-
-    @property
-    def made_from(self) -> MadeFrom:
-        return MadeFrom(inputs=self.inputs, sources=SOURCES)
 
     @property
     def swapped(self) -> bool:

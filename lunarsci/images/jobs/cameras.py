@@ -26,7 +26,7 @@ from lunarsci.images.rig_files import (
 from lunarsci.io.documents import toml_document
 from lunarsci.io.inputs import InputFile, Source, read_input, text
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import Result, job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -44,14 +44,11 @@ class CameraSheet(Result):
     """Rigs, or single cameras with what their labels' fits miss."""
 
     schema: ClassVar[str] = "images-cameras/1"
+    sources = SOURCES
     rigs: tuple[StereoRig, ...]
     alone: Mapping[str, LabelCamera | SingleCamera]
     request: CamerasRequest
     inputs: Mapping[str, str]
-
-    @property
-    def made_from(self) -> MadeFrom:
-        return MadeFrom(inputs=self.inputs, sources=SOURCES)
 
     def to_dict(self) -> dict[str, Any]:
         return {

@@ -17,7 +17,7 @@ from lunarsci.images.pictures import read_picture
 from lunarsci.images.rig_files import check_rig_of, read_pose, read_rig
 from lunarsci.io.inputs import Source, read_input
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Progress, Result, job
+from lunarsci.result import Progress, Result, job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,16 +43,13 @@ class StereoTerrain(Result):
     """An elevation model, and the matches that it was made of."""
 
     schema: ClassVar[str] = "images-dem/1"
+    sources = SOURCES
     model: ElevationModel
     matches: StereoMatches
     rig: StereoRig
     pose: Pose
     levelled: bool
     inputs: Mapping[str, str]
-
-    @property
-    def made_from(self) -> MadeFrom:
-        return MadeFrom(inputs=self.inputs, sources=SOURCES)
 
     def to_dict(self) -> dict[str, Any]:
         return {

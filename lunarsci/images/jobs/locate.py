@@ -23,7 +23,7 @@ from lunarsci.io.inputs import InputFile, read_input, text
 from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
 from lunarsci.ranges import refuse
-from lunarsci.result import Doubt, MadeFrom, Progress, Result, job
+from lunarsci.result import Doubt, Progress, Result, job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -49,14 +49,11 @@ class LocatedStations(Result):
     """Where the rover, or its left camera, was, in the frame of the first pose."""
 
     schema: ClassVar[str] = "images-locate/1"
+    sources = SOURCES
     localised: Localised
     rig: StereoRig
     inputs: Mapping[str, str]
     synthetic: bool
-
-    @property
-    def made_from(self) -> MadeFrom:
-        return MadeFrom(inputs=self.inputs, sources=SOURCES)
 
     @property
     def doubt(self) -> Doubt:

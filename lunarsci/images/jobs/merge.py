@@ -21,7 +21,7 @@ from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.options import request_of
 from lunarsci.ranges import refuse
-from lunarsci.result import Doubt, MadeFrom, Result, job
+from lunarsci.result import Doubt, Result, job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,14 +42,11 @@ class MergedStations(Result):
     """One map of several stations."""
 
     schema: ClassVar[str] = "images-merge/1"
+    sources = SOURCES
     names: tuple[str, ...]
     models: tuple[ElevationModel, ...]
     merged: MergedMap
     inputs: Mapping[str, str]
-
-    @property
-    def made_from(self) -> MadeFrom:
-        return MadeFrom(inputs=self.inputs, sources=SOURCES)
 
     @property
     def doubt(self) -> Doubt:

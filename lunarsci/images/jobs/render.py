@@ -19,7 +19,7 @@ from lunarsci.images.render import ROCK_COLUMNS, Landscape, RenderedPair, landsc
 from lunarsci.images.rig_files import pose_text, read_rig, rig_text
 from lunarsci.io.inputs import read_input
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Progress, Result, job
+from lunarsci.result import Progress, Result, job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,15 +42,12 @@ class SyntheticPair(Result):
     """Two pictures of a landscape, and the truth of the left one."""
 
     schema: ClassVar[str] = "images-render/1"
+    sources = SOURCES
     landscape: Landscape
     rig: StereoRig
     pair: RenderedPair
     inputs: Mapping[str, str]
     seed: int
-
-    @property
-    def made_from(self) -> MadeFrom:
-        return MadeFrom(inputs=self.inputs, sources=SOURCES, seed=self.seed)
 
     def to_dict(self) -> dict[str, Any]:
         truth, rig = self.pair.truth, self.rig

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from lunarsci.images.elevation import ElevationModel, read_elevation
 from lunarsci.images.jobs.requests import RocksRequest
 from lunarsci.images.rocks import RockSurvey, find_rocks
+from lunarsci.io.documents import geojson_feature
 from lunarsci.io.inputs import read_input
 from lunarsci.options import request_of
 from lunarsci.result import MadeFrom, Result, job
@@ -71,8 +72,7 @@ class RockList(Result):
             # The circle lies within its polygon.
             radius = row["keepout_m"] / math.cos(math.pi / CORNERS)
             ring = [[row["x_m"] + radius * math.cos(t), row["y_m"] + radius * math.sin(t)] for t in turns]
-            shape = {"type": "Polygon", "coordinates": [ring]}
-            features.append({"type": "Feature", "geometry": shape, "properties": dict(row)})
+            features.append(geojson_feature("Polygon", [ring], row))
         return (json.dumps({"type": "FeatureCollection", "features": features}, sort_keys=True) + "\n").encode()
 
     def notes(self) -> list[str]:

@@ -13,7 +13,7 @@ from lunarsci.images.tracks import TrackDepths, read_line, track_depths
 from lunarsci.io.inputs import read_input
 from lunarsci.options import request_of
 from lunarsci.provenance import sha256
-from lunarsci.result import Doubt, MadeFrom, Result, job
+from lunarsci.result import Doubt, Result, job
 from lunarsci.rovers import read_rover
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ class TrackSinkage(Result):
     """Depths along a track, and the sinkage of the wheel that left it."""
 
     schema: ClassVar[str] = "images-track/1"
+    sources = SOURCES
     model: ElevationModel
     line: FloatArray
     width_m: float
@@ -44,10 +45,6 @@ class TrackSinkage(Result):
     inputs: Mapping[str, str]
     tables: Mapping[str, str]
     assumed: tuple[str, ...]
-
-    @property
-    def made_from(self) -> MadeFrom:
-        return MadeFrom(inputs=self.inputs, tables=self.tables, sources=SOURCES)
 
     @property
     def doubt(self) -> Doubt:

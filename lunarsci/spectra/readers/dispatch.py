@@ -1,5 +1,6 @@
 """Which reader a file needs, and the rules on rows, order, units and missing values that hold for every format."""
 
+import contextlib
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -101,19 +102,16 @@ def _check(what: str, value: str | None, allowed: tuple[str, ...]) -> None:
 
 def format_of(source: InputFile) -> str:
     """The format of a file, one of `lunarsci.registry.FORMATS`. Raises DataError for one that is no spectra at all."""
-    unreadable, start = None, ""
-    try:
-        # The reader decodes the text again and says what there is to say about it.
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", LunarSciWarning)
-            start = inputs.beginning(source).lstrip()
-    except DataError as error:
-        unreadable = error
+    start = ""
+    # The reader decodes the text again and says what there is to say about it.
+    with warnings.catch_warnings(), contextlib.suppress(DataError):
+        warnings.simplefilter("ignore", LunarSciWarning)
+        start = inputs.beginning(source).lstrip()
     if name := recognised(source, start):
         return name
     _refuse_others(source, start)
-    if unreadable is not None:
-        raise unreadable
+    if not start:
+        inputs.beginning(source)  # says why this is no text
     return next(name for name, one in FORMATS.items() if not one.recognises)
 
 

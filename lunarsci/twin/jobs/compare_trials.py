@@ -12,7 +12,7 @@ from lunarsci.io.inputs import InputFile
 from lunarsci.io.tables import csv_bytes
 from lunarsci.options import refuse_where, request_of
 from lunarsci.regolith.soil import read_soil
-from lunarsci.result import Doubt, MadeFrom, Result, job
+from lunarsci.result import Doubt, Result, job
 from lunarsci.twin.assimilation.residuals import read_drive_states
 from lunarsci.twin.drives.layouts import trials_in
 from lunarsci.twin.drives.replay import TrialScore, TrialSoils, WheelTurns, score_trial, summary_of
@@ -51,16 +51,13 @@ class ScoredTrials(Result):
     """
 
     schema = "twin-trials/1"
+    sources = SOURCES
     trials: tuple[TrialScore, ...]
     soils: tuple[str, str]
     failed: tuple[Failure, ...]
     inputs: dict[str, str]
     tables: dict[str, str]
     seed: int
-
-    @property
-    def made_from(self) -> MadeFrom:
-        return MadeFrom(inputs=self.inputs, tables=self.tables, sources=SOURCES, seed=self.seed)
 
     @property
     def failures(self) -> Sequence[Failure]:

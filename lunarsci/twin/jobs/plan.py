@@ -9,6 +9,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from lunarsci.errors import ParameterError, RequestError
+from lunarsci.io.documents import geojson_feature
 from lunarsci.io.inputs import read_input
 from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
@@ -208,20 +209,16 @@ def _leg_row(leg: MissionLeg) -> dict[str, Any]:
 def geojson(driven: DrivenMission) -> dict[str, Any]:
     """Legs as lines, targets as points, circles to keep out of as points with `keepout_m`; x, y in m of the terrain."""
     features = [
-        _feature("LineString", poses_along(leg.plan, 0.25)[:, :2].tolist(), {"kind": "leg", **_leg_row(leg)})
+        geojson_feature("LineString", poses_along(leg.plan, 0.25)[:, :2].tolist(), {"kind": "leg", **_leg_row(leg)})
         for leg in driven.legs
     ]
     for one in driven.targets:
         about = {"kind": "target", "name": one.target.name, "fate": one.fate, "why": one.why}
-        features.append(_feature("Point", [one.target.x_m, one.target.y_m], about))
+        features.append(geojson_feature("Point", [one.target.x_m, one.target.y_m], about))
     for zone in driven.mission.keep_outs:
         circle = {"kind": "keep-out", "name": zone.name, "keepout_m": zone.radius_m}
-        features.append(_feature("Point", [zone.x_m, zone.y_m], circle))
+        features.append(geojson_feature("Point", [zone.x_m, zone.y_m], circle))
     return {"type": "FeatureCollection", "name": driven.mission.name, "features": features}
-
-
-def _feature(kind: str, coordinates: Any, about: Mapping[str, Any]) -> dict[str, Any]:
-    return {"type": "Feature", "geometry": {"type": kind, "coordinates": coordinates}, "properties": dict(about)}
 
 
 def planned_mission(terrain: str | None, asked: PlanRequest, progress: Progress | None) -> PlannedMission:

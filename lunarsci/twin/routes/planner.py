@@ -14,6 +14,7 @@ import numpy.typing as npt
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError
 from lunarsci.heights.projections import MapProjection, name_of, projection_or_none
+from lunarsci.io.documents import geojson_feature
 from lunarsci.result import Progress
 from lunarsci.twin.ground.hazards import RoverFootprint, Traversability, nearest_node, rover_footprint, swept_nodes
 from lunarsci.twin.plans.path import TURN_DEG, planned_pose, poses_along
@@ -386,8 +387,7 @@ def path_geojson(path: PlannedPath, surface: Traversability) -> bytes:
     ]  # fmt: skip
     if rings := hazard_rings(path, surface):
         shown = [[_shown(ring, projection).tolist()] for ring in rings]
-        shape = {"type": "MultiPolygon", "coordinates": shown}
-        features.append({"type": "Feature", "geometry": shape, "properties": {"role": "hazards"}})
+        features.append(geojson_feature("MultiPolygon", shown, {"role": "hazards"}))
     where: dict[str, Any] = {"crs": {"type": "name", "properties": {"name": LOCAL}}}
     if projection is not None:
         radius, flattening = projection.ellipsoid
@@ -423,7 +423,5 @@ def _feature(
 ) -> dict[str, Any]:
     shown = _shown(places_m, projection)
     coordinates = shown.tolist() if kind == "LineString" else shown[0].tolist()
-    values = {name: None if isinstance(value, float) and not math.isfinite(value) else value
-           for name, value in properties.items()}  # fmt: skip
     place = {"x_m": float(places_m[0, 0]), "y_m": float(places_m[0, 1])}
-    return {"type": "Feature", "geometry": {"type": kind, "coordinates": coordinates}, "properties": values | place}
+    return geojson_feature(kind, coordinates, {**properties, **place})
