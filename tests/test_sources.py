@@ -46,6 +46,7 @@ SETTINGS = {
         "twin/ground/soil_map.py: REACH_M",
         "twin/ground/synthetic.py: CLEAR_M", "twin/ground/synthetic.py: SMALLEST_M, LARGEST_M",
         "twin/ground/synthetic.py: LARGEST_SHARE",
+        "twin/plans/motion.py: STANDSTILL",
         "twin/simulation/contact.py: BEHIND", "twin/plans/path.py: RAMP_COUNTS_S", "twin/plans/path.py: RAMP_S",
         "twin/telemetry/states.py: HELD", "twin/telemetry/states.py: HARDLY", "twin/telemetry/reading.py: SURE",
         "twin/telemetry/checks.py: STOP_COSTS_S", "twin/telemetry/readings.py: ANY",
