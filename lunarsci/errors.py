@@ -103,9 +103,10 @@ class RequestError(ParameterError):
 @contextmanager
 def within_file(name: str, *others: type[Exception]) -> Iterator[None]:
     """What is wrong with values, and errors of some other kinds, as a DataError that begins with the file's name."""
+    kinds: tuple[type[Exception], ...] = (ParameterError, *others)
     try:
         yield
-    except (ParameterError, *others) as error:
+    except kinds as error:
         raise DataError(f"{name}: {error}") from error
 
 

@@ -17,11 +17,13 @@ from lunarsci.twin.assimilation.segments import planned_places
 from lunarsci.twin.ground.driven_soil import GivenSoil
 from lunarsci.twin.ground.hazards import ExclusionZone, Traversability, near_way, rover_footprint
 from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.jobs.chosen_drive import SOURCES, LocalGround, check_soils, chosen_drive, drive_conditions
-from lunarsci.twin.jobs.drive_inputs import OF_A_BELIEF, Soils
-from lunarsci.twin.jobs.drive_inputs import SOURCES as OF_DRIVES
-from lunarsci.twin.jobs.plan_request import (
+from lunarsci.twin.jobs.chosen_drive import (
+    SOURCES,
+    LocalGround,
+    check_soils,
     check_start,
+    chosen_drive,
+    drive_conditions,
     final_heading_deg,
     limits_at,
     made_for_on,
@@ -29,6 +31,8 @@ from lunarsci.twin.jobs.plan_request import (
     places_of,
     planned_power,
 )
+from lunarsci.twin.jobs.drive_inputs import OF_A_BELIEF, Soils
+from lunarsci.twin.jobs.drive_inputs import SOURCES as OF_DRIVES
 from lunarsci.twin.jobs.requests import PlanRequest
 from lunarsci.twin.jobs.terrain import Progress, SurveyedSite, TerrainSurvey, read_site
 from lunarsci.twin.judgement.choice import Conditions
