@@ -59,8 +59,6 @@ MOST_SEGMENTS = 16
 FEWEST_VALUES = 2 * len(PARAMETERS)
 """Of a stretch whose soil is learned, and whose median slip is judged: as many are left to judge it by as it takes.
 With fewer it stays as believed."""
-NAMED = 1.0
-"""Steps of a measured quantity that are named, in its errors; assumed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -331,7 +329,8 @@ class SoilChange:
     def text(self) -> str:
         """In words, such as `the soil changes at 4.9 m of the way (4.7 to 5.0 m): from there on ...`."""
         strong = sorted(self.steps, key=lambda name: -abs(self.steps[name]))
-        named = [name for name in strong if abs(self.steps[name]) >= NAMED]
+        usual = sum(map(abs, self.steps.values())) / max(len(self.steps), 1)
+        named = [name for name in strong if abs(self.steps[name]) >= usual]
         words = ", ".join(f"{name} is {'larger' if self.steps[name] > 0 else 'smaller'}" for name in named)
         place = f"{self.distance_m:.1f} m of the way ({self.low_m:.1f} to {self.high_m:.1f} m)"
         return f"the soil changes at {place}" + (f": from there on {words} than before" if words else "")

@@ -64,8 +64,8 @@ SLOW = 0.4
 OUTLINE = 2000
 """Places along a plan about which ruts are kept."""
 STRAY_M = 1.5
-"""How far from its plan a rover still meets ruts. Measured: the end of the embedded plan is the same with half and twice
-of it. [m]"""
+"""How far from its plan a rover still meets ruts. Measured: half or twice of it leave the embedded plan's end the
+same. [m]"""
 FINER = (4, 16)
 """How many times shorter the steps are that are tried in turn where a soil is not held by those asked for."""
 
