@@ -228,7 +228,9 @@ def _feature(kind: str, coordinates: Any, about: Mapping[str, Any]) -> dict[str,
     return {"type": "Feature", "geometry": {"type": kind, "coordinates": coordinates}, "properties": dict(about)}
 
 
-def planned_mission(terrain: str | None, asked: PlanRequest, progress: Progress | None) -> PlannedMission:
+def planned_mission(
+    terrain: str | None, asked: PlanRequest, risk: AcceptedRisk, progress: Progress | None
+) -> PlannedMission:
     """A mission, driven leg by leg over the soils that are believed.
 
     Raises DataError, RequestError, and ParameterError where targets lie outside the map.
@@ -259,7 +261,6 @@ def planned_mission(terrain: str | None, asked: PlanRequest, progress: Progress 
         power=planned_power(asked),
         progress=progress,
     )
-    risk = USUAL if asked.risk is None else AcceptedRisk(asked.risk)
     return PlannedMission(
         site=site, surface=surface, soils=soils, driven=driven, risk=risk, file=(source.name, source.sha256)
     )
@@ -371,10 +372,11 @@ def plan(
     Raises DataError and RequestError, and ParameterError where there is no such path.
     """
     asked = request_of(PlanRequest, request, options)
+    risk = USUAL if asked.risk is None else AcceptedRisk(asked.risk)
     if asked.purpose == "mission":
-        return planned_mission(terrain, asked, progress)
-    if asked.risk is not None:
-        return chosen_drive(terrain, asked, AcceptedRisk(asked.risk), progress)
+        return planned_mission(terrain, asked, risk, progress)
+    if asked.purpose == "choice":
+        return chosen_drive(terrain, asked, risk, progress)
 
     if asked.soil and (several := GivenSoil.read(asked.soil)).file is not None:
         raise RequestError(
