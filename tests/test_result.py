@@ -30,7 +30,7 @@ from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestE
 from lunarsci.io.inputs import read_input
 from lunarsci.options import TYPED, request_of
 from lunarsci.regolith.jobs.requests import WheelForcesRequest
-from lunarsci.result import MadeFrom, Result, _column
+from lunarsci.result import Doubt, MadeFrom, Result, _column
 
 ROOT = Path(__file__).parents[1]
 NO_FIELDS = {"output", "save_terrain"}
@@ -316,3 +316,14 @@ def test_columns_of_shares_have_a_unit_and_a_meaning() -> None:
     assert told["olivine_present"] == (units.dimensionless_unscaled, "probability of more than 5 % of the mineral")
     assert told["rms_ln"][1] is None
     assert table["olivine"][0] == 0.3
+
+
+def test_reasons_of_a_doubt_are_joined_in_one_place() -> None:
+    """Empty ones are left out, another doubt is one reason; no job words the sentence by itself."""
+    inner = Doubt.of("a wheel stands", "", "no end", verdict="no-go")
+    assert str(inner) == "no-go: a wheel stands; no end" and inner.reasons == ("a wheel stands", "no end")
+    assert str(Doubt.of(inner, "an odd soil")) == f"{inner}; an odd soil"
+    nothing = Doubt.of("", Doubt(), verdict="not to be trusted")
+    assert not nothing and str(nothing) == ""
+    jobs = [path.read_text("utf-8") for path in (ROOT / "lunarsci").rglob("jobs/*.py")]
+    assert len(jobs) > 30 and not any("def untrusted" in text for text in jobs)

@@ -47,6 +47,7 @@ SETTINGS = {
         "twin/ground/soil_map.py: REACH_M",
         "twin/ground/synthetic.py: CLEAR_M", "twin/ground/synthetic.py: SMALLEST_M, LARGEST_M",
         "twin/ground/synthetic.py: LARGEST_SHARE",
+        "twin/plans/motion.py: STANDSTILL",
         "twin/simulation/contact.py: BEHIND", "twin/plans/path.py: RAMP_COUNTS_S", "twin/plans/path.py: RAMP_S",
         "twin/telemetry/states.py: HELD", "twin/telemetry/states.py: HARDLY", "twin/telemetry/reading.py: SURE",
         "twin/telemetry/checks.py: STOP_COSTS_S", "twin/telemetry/readings.py: ANY",
@@ -111,6 +112,10 @@ SETTINGS = {
         "twin/jobs/plan.py: LOOKED_AT_M", "twin/judgement/endpoint.py: SHORTEST_STEP_S",
         "twin/judgement/energy.py: FINEST_S", "twin/plans/path.py: CREEP_M_S", "twin/plans/path.py: TURN_DEG",
         "twin/routes/arc_search.py: PENALTY", "twin/routes/planner.py: PATH_STEP_M",
+        "twin/routes/arc_search.py: LARGEST_TURN", "twin/routes/arc_search.py: LONGEST",
+        "twin/routes/candidates.py: LEAST_TURN_DEG", "twin/routes/candidates.py: FIX_EVERY_M",
+        "twin/routes/long_way.py: STRETCH_M, SHORTEST_M",
+        "twin/routes/planner.py: MARGIN_SHARE, MARGIN_M, FAR_MARGIN_M",
         "twin/simulation/contact.py: CAUGHT", "twin/simulation/settle.py: CALM",
         "twin/simulation/settle.py: LONGEST_MOVE", "twin/telemetry/nodes.py: NODE_M"),
 }  # fmt: skip

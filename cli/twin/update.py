@@ -141,7 +141,7 @@ def _notes(learned: LearnedSoil) -> list[str]:
         f"learned from {update.learned_from}; {int(update.outliers.sum())} outliers, reduced chi-square "
         f"{update.reduced:.2f}",
         f"surprise: the soil found lies {update.prior_shift:.2f} standard deviations from what was believed before "
-        f"(about 1 or less as expected, above {SURPRISING:g} look whether it is the same ground)",
+        f"(about 1 or less as expected, above {SURPRISING:.2g} look whether it is the same ground)",
         *learned.doubts.reasons,
         *learned.before.cautions(update),
         *_slip_notes(learned),

@@ -757,7 +757,7 @@ def drive_readers() -> dict[str, Reader]:
                             [table("time_s,x_m,y_m,sigma_m")]),
         "motion": Reader(with_rover("twin.plans.motion:read_motion"), ["spoilt.csv"],
                          [table(f"time_s,x_m,y_m,yaw_deg,{commands}")]),
-        "start of a plan": Reader(lambda path: _function("twin.jobs.plan_request:last_pose")(str(path)), ["spoilt.csv"],
+        "start of a plan": Reader(lambda path: _function("twin.jobs.chosen_drive:last_pose")(str(path)), ["spoilt.csv"],
                                   [b"time_s,member,x_m,y_m,yaw_deg\n0,0,0,0,0\n1,0,0.1,0,2\n"]),
         "states of poses": Reader(with_rover("twin.simulation.prescribed_motion:read_pose_states"), ["spoilt.csv"],
                                   [states]),

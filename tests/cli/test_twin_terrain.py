@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lunarsci.twin.ground.synthetic import synthetic_longji
-from lunarsci.twin.jobs.plan_request import places_of
+from lunarsci.twin.jobs.chosen_drive import places_of
 from lunarsci.twin.jobs.requests import PlanRequest
 from lunarsci.twin.plans.plan import read_plan
 

@@ -31,6 +31,7 @@ from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.plans.path import make_schedule
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.simulation.discrepancy import ALIKE_M
 from lunarsci.twin.simulation.ensemble import LONGEST_SAMPLE_M, LONGEST_STEP_S, Prediction, predict
 
 BIN_M, MOST_BINS = 2.0 * SAMPLE_M, 200
@@ -39,10 +40,6 @@ longer where the drive has more pieces, whose covariance takes their number squa
 FEWEST_BINS = 4
 """On either side of a change; assumed."""
 SIMULATIONS = 999
-MODEL_M = 3.0
-"""Way over which errors of the twin itself are alike, such as an arc's; assumed. [m]"""
-MOST_CORRELATED = 0.95
-"""Correlation of neighbouring bins that is reckoned with at most: what is left of a mean must not vanish; assumed."""
 MARGIN = 1.0
 """Standard errors by which noise counts as more correlated than it was found: the p-value is that of an unkind case
 within the uncertainty, as in Berger & Boos (1994), J. Am. Stat. Assoc. 89, 1012."""
@@ -62,8 +59,6 @@ MOST_SEGMENTS = 16
 FEWEST_VALUES = 2 * len(PARAMETERS)
 """Of a stretch whose soil is learned, and whose median slip is judged: as many are left to judge it by as it takes.
 With fewer it stays as believed."""
-NAMED = 1.0
-"""Steps of a measured quantity that are named, in its errors; assumed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -286,7 +281,7 @@ def _root(bins: TrackBins, quantity: int, sigma: float, autocorrelation: float) 
     number = np.rint(lag / max(float(np.min(np.diff(bins.middle_m))), 1e-6))
     scale = sigma / np.sqrt(bins.weight[:, quantity])
     noise = np.outer(scale, scale) * np.where(number > 0, autocorrelation**number, 1.0)
-    return np.linalg.cholesky(noise + bins.model[quantity] ** 2 * np.exp(-lag / MODEL_M))
+    return np.linalg.cholesky(noise + bins.model[quantity] ** 2 * np.exp(-lag / ALIKE_M))
 
 
 def _noise(bins: TrackBins, rest: FloatArray, fitted: float) -> tuple[FloatArray, FloatArray]:
@@ -294,7 +289,7 @@ def _noise(bins: TrackBins, rest: FloatArray, fitted: float) -> tuple[FloatArray
 
     `fitted` numbers were taken from each series. In n values a mean taken away hides (1 + 3 r) / n of their
     autocorrelation r (Kendall 1954, Biometrika 41, 403), and so, about, does every other number; this and `MARGIN` are
-    added.
+    added. Noise that is alike over all of a series cannot be told from a longer one's.
     """
     size = len(rest)
     white = rest * np.sqrt(bins.weight)
@@ -303,7 +298,7 @@ def _noise(bins: TrackBins, rest: FloatArray, fitted: float) -> tuple[FloatArray
     lag = lag + fitted * (1.0 + 3.0 * np.maximum(lag, 0.0)) / size
     lag = lag + MARGIN * np.sqrt((1.0 - np.minimum(lag**2, 1.0)) / size)
     sigma = np.sqrt(square / max(size - fitted, 0.25 * size))
-    return np.maximum(sigma, 1.0), np.clip(lag, 0.0, MOST_CORRELATED)
+    return np.maximum(sigma, 1.0), np.clip(lag, 0.0, 1.0 - 1.0 / size)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -334,7 +329,8 @@ class SoilChange:
     def text(self) -> str:
         """In words, such as `the soil changes at 4.9 m of the way (4.7 to 5.0 m): from there on ...`."""
         strong = sorted(self.steps, key=lambda name: -abs(self.steps[name]))
-        named = [name for name in strong if abs(self.steps[name]) >= NAMED]
+        usual = sum(map(abs, self.steps.values())) / max(len(self.steps), 1)
+        named = [name for name in strong if abs(self.steps[name]) >= usual]
         words = ", ".join(f"{name} is {'larger' if self.steps[name] > 0 else 'smaller'}" for name in named)
         place = f"{self.distance_m:.1f} m of the way ({self.low_m:.1f} to {self.high_m:.1f} m)"
         return f"the soil changes at {place}" + (f": from there on {words} than before" if words else "")

@@ -12,12 +12,14 @@ that was measured wrong. The update then finds the soil in between, and allows f
 `SlipLean` says which way predictions lean then.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtri
 
-from lunarsci.arrays import BoolArray, FloatArray, at_times
+from lunarsci.arrays import SIGNIFICANCE, BoolArray, FloatArray, at_times
 from lunarsci.errors import ParameterError
 from lunarsci.ranges import NOT_NEGATIVE, check_range
 from lunarsci.regolith.belief import SoilBelief
@@ -80,9 +82,10 @@ LEAST_FLOOR = 0.05
 FOLLOWED = 2.0**0.5
 """By which the miss of an end is taken larger than what the soil that was found with it leaves: the variance that held
 for returns in an independent simulator; assumed elsewhere."""
-SETTLED, SURPRISING = 0.3, 2.0
-"""Autocorrelation of particles above which they have not spread out; prior shift above which the ground differs;
-assumed."""
+SETTLED = 0.3
+"""Autocorrelation of particles above which they have not spread out; assumed."""
+SURPRISING = math.sqrt(chdtri(len(PARAMETERS), SIGNIFICANCE) / len(PARAMETERS))
+"""Prior shift that a soil of the belief has with a chance of `SIGNIFICANCE` at most: above it the ground differs."""
 WIDENED = 2.0
 """Factor of the errors of positions from which on it is warned of: one soil of this law does not lead where the rover
 went. So it is of 1 of 70 right beliefs and of 10 of 38 of other physics, rovers and tracks that nothing else doubts,

@@ -69,8 +69,6 @@ FAR, SELDOM = 5.0, 0.05
 hides more than it says, and how seldom it must be among the members; among the tests measured together, see `ALARM`."""
 LEAST_MEMBERS = 20
 """Drives that finished, of which one is 5 %: of fewer the extremes are both ends of a region of 90 %."""
-LEAST_FINISHED = 0.5
-"""Share of predicted drives that finish; assumed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -442,7 +440,7 @@ def _ensemble_reasons(forecast: Forecast, finished: int) -> list[str]:
         reasons.append(
             f"the prediction rests on {finished} drives that finish; give {LEAST_MEMBERS} or more for regions and bands"
         )
-    if finished < LEAST_FINISHED * forecast.members:
+    if 2 * finished < forecast.members:  # the middle one of the predicted drives ends early
         reasons.append(f"only {finished} of {forecast.members} predicted drives come to the end that was driven to")
     return reasons
 

@@ -19,7 +19,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinat
 from lunarsci.arrays import NORMAL_MAD, FloatArray, IntArray
 from lunarsci.errors import DataError
 from lunarsci.ranges import refuse
-from lunarsci.regolith.prior import Law, Question, question
+from lunarsci.regolith.prior import STRANGE, Law, Question, question
 from lunarsci.regolith.wheel import Wheel
 from lunarsci.twin.ground.hazards import RoverFootprint, Traversability
 from lunarsci.twin.ground.height_errors import GRAIN_NODES, HeightErrors, Relief, fractal_power, mean_over
@@ -42,8 +42,6 @@ MARGIN_M, MARGIN_SHARE = 10.0, 0.2
 """About a plan, and of its length, on which finer nodes are laid: drives stray less. Assumed."""
 MOST_DRAWN_NODES = 4_000_000
 """Of the finer grid; beyond them nodes lie wider apart."""
-OBSTACLE_SIGMAS = 3.0
-"""Of what lies between nodes, that make an obstacle; assumed."""
 SLOPE_SD = 1.0
 """Standard deviation of the logarithm of median slopes of maps about that of the law: assumed, flat maria to crater
 walls."""
@@ -91,7 +89,7 @@ class Unresolved:
     ----------
     spacing_m : of its nodes. [m]
     rms_m : what lies between them, in the median over the ground that may be there. [m]
-    deciding_m : spacing at which no obstacle of the rover lies between nodes. [m]
+    deciding_m : spacing at which an obstacle of the rover lies between nodes by a chance of `SIGNIFICANCE`. [m]
     """
 
     spacing_m: float
@@ -122,7 +120,7 @@ def with_unresolved(
     )
     relief, _ = lunar_relief()
     rms_at_one_m = math.sqrt(relief.at_one_m) * math.exp(rougher[0])
-    deciding = (step_m / (OBSTACLE_SIGMAS * rms_at_one_m)) ** (1.0 / relief.hurst)
+    deciding = (step_m / (STRANGE * rms_at_one_m)) ** (1.0 / relief.hurst)
     unresolved = Unresolved(terrain.spacing_m, NORMAL_MAD * float(np.median(np.abs(grain))), deciding)
     return dataclasses.replace(finer, errors=errors), unresolved
 

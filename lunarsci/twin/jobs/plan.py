@@ -18,11 +18,13 @@ from lunarsci.twin.assimilation.segments import planned_places
 from lunarsci.twin.ground.driven_soil import GivenSoil
 from lunarsci.twin.ground.hazards import ExclusionZone, Traversability, near_way, rover_footprint
 from lunarsci.twin.ground.terrain import Terrain
-from lunarsci.twin.jobs.chosen_drive import SOURCES, LocalGround, check_soils, chosen_drive, drive_conditions
-from lunarsci.twin.jobs.drive_inputs import OF_A_BELIEF, Soils
-from lunarsci.twin.jobs.drive_inputs import SOURCES as OF_DRIVES
-from lunarsci.twin.jobs.plan_request import (
+from lunarsci.twin.jobs.chosen_drive import (
+    SOURCES,
+    LocalGround,
+    check_soils,
     check_start,
+    chosen_drive,
+    drive_conditions,
     final_heading_deg,
     limits_at,
     made_for_on,
@@ -30,6 +32,8 @@ from lunarsci.twin.jobs.plan_request import (
     places_of,
     planned_power,
 )
+from lunarsci.twin.jobs.drive_inputs import OF_A_BELIEF, Soils
+from lunarsci.twin.jobs.drive_inputs import SOURCES as OF_DRIVES
 from lunarsci.twin.jobs.requests import PlanRequest
 from lunarsci.twin.jobs.terrain import SurveyedSite, TerrainSurvey, read_site
 from lunarsci.twin.judgement.choice import Conditions
@@ -221,7 +225,9 @@ def geojson(driven: DrivenMission) -> dict[str, Any]:
     return {"type": "FeatureCollection", "name": driven.mission.name, "features": features}
 
 
-def planned_mission(terrain: str | None, asked: PlanRequest, progress: Progress | None) -> PlannedMission:
+def planned_mission(
+    terrain: str | None, asked: PlanRequest, risk: AcceptedRisk, progress: Progress | None
+) -> PlannedMission:
     """A mission, driven leg by leg over the soils that are believed.
 
     Raises DataError, RequestError, and ParameterError where targets lie outside the map.
@@ -252,7 +258,6 @@ def planned_mission(terrain: str | None, asked: PlanRequest, progress: Progress 
         power=planned_power(asked),
         progress=progress,
     )
-    risk = USUAL if asked.risk is None else AcceptedRisk(asked.risk)
     return PlannedMission(
         site=site, surface=surface, soils=soils, driven=driven, risk=risk, file=(source.name, source.sha256)
     )
@@ -364,10 +369,11 @@ def plan(
     Raises DataError and RequestError, and ParameterError where there is no such path.
     """
     asked = request_of(PlanRequest, request, options)
+    risk = USUAL if asked.risk is None else AcceptedRisk(asked.risk)
     if asked.purpose == "mission":
-        return planned_mission(terrain, asked, progress)
-    if asked.risk is not None:
-        return chosen_drive(terrain, asked, AcceptedRisk(asked.risk), progress)
+        return planned_mission(terrain, asked, risk, progress)
+    if asked.purpose == "choice":
+        return chosen_drive(terrain, asked, risk, progress)
 
     if asked.soil and (several := GivenSoil.read(asked.soil)).file is not None:
         raise RequestError(

@@ -91,4 +91,4 @@ class AcceptedRisk:
 
 
 USUAL = AcceptedRisk(0.05)
-"""Where none is given: of a mission as a whole, and of each limit of a drive; assumed."""
+"""Where none is given, with --risk or in the plan: of a mission as a whole, and of each limit of a drive; assumed."""

@@ -17,7 +17,7 @@ from lunarsci.twin.ground.hazards import RoverFootprint, Traversability
 from lunarsci.twin.plans.path import arc_end
 
 LARGEST_TURN = 0.75 * np.pi
-"""No closing arc turns further than this; assumed. [rad]"""
+"""No closing arc turns further than this: where the search of these ends. [rad]"""
 MOST_ARCS = 4
 LENGTHS = 8
 """Free arcs are 1/8, 2/8 ... 8/8 of the distance of the target long."""
@@ -25,7 +25,7 @@ HALVINGS = 5
 """and as curved as the tightest turn, half of it, ... a sixteenth, to the left and to the right, or straight."""
 LONGEST = 2.5
 """A course is at most this many distances of the target long, and two tightest turns, and costs at most as many times
-what the cheapest one does; assumed."""
+what the cheapest one does: where the search ends."""
 TURNING_M2 = 0.5
 """Cost of a change of curvature by 1/m: assumed. [m2]"""
 ARC_M = 0.1

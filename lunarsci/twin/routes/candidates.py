@@ -28,9 +28,9 @@ LOOKED_AT = 3000
 WIDEST_CRAB_DEG, DRAGGED_DEG = 60.0, 5.0
 """A rover is not driven more sidewards than this where all its wheels steer, and where some are dragged; assumed."""
 LEAST_TURN_DEG = 15.0
-"""Targets less far to the side are reached by arcs as well as after a spot turn; assumed."""
+"""Manners that begin with a spot turn are tried from this turn on: arcs reach targets less far to the side as well."""
 FIX_EVERY_M = (5.0, 2.5)
-"""Way between localisation updates, where there are any; assumed. [m]"""
+"""Ways between localisation updates that are tried, where there are any. [m]"""
 MOST = 50
 
 

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 ARRIVAL_M = 0.01
 """A path ends at least this near to its target, as the search reckons it. [m]"""
 MARGIN_SHARE, MARGIN_M, FAR_MARGIN_M = 0.5, 3.0, 50.0
-"""The search looks this share of the distance, and so far, beyond start and target; farther on long ways; assumed."""
+"""The search looks this share of the distance, and so far, beyond start and target; farther on long ways. [-, m, m]"""
 PATH_STEP_M = 0.02
 
 

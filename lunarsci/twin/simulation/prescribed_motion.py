@@ -56,8 +56,6 @@ MEASURED = ("sinkage_m", "slip_ratio", "side_slip_deg")
 DRAWS, FEWEST_DRAWS = 64, 16
 BALANCE_ERROR = 0.005
 """Standard error of the balance as a share of the weight, for a slope that is off by 0.3 deg, and inertia; assumed."""
-LEAST_CARRIED = 0.5
-"""Share of the soils that have to carry the rover at a pose for its forces to be told; assumed."""
 TOTALS = ("ahead", "left", "moment")
 SOIL_STILL, FORCES_STILL = 0.1, 0.01
 """Largest move of the soil's mean, in what remains of its standard deviations, and of pulls and lateral forces as a
@@ -483,7 +481,7 @@ def _balanced(held: PrescribedLoads, drawn: list[_Drawn], error: FloatArray, cor
     total, rest, surprise = np.full((count, 3), np.nan), np.full((count, 3), np.nan), np.full(count, np.nan)
     carried = np.all([part.carried for part in drawn], axis=0)
     levers = contact_jacobian(held)
-    with_forces = held.with_forces & (carried.mean(axis=0) >= LEAST_CARRIED)
+    with_forces = held.with_forces & (np.median(carried, axis=0) > 0)
     for k in np.flatnonzero(with_forces):
         per_draw = [(part.forces[carried[:, k], k], part.residual[carried[:, k], k]) for part in drawn]
         flat = per_draw[0][0].reshape(len(per_draw[0][0]), -1)

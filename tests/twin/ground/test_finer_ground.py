@@ -16,6 +16,7 @@ from scipy.interpolate import CubicSpline
 import lunarsci
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.regolith.columns import ground_name
+from lunarsci.regolith.prior import STRANGE
 from lunarsci.regolith.soil import Soil, read_soil
 from lunarsci.regolith.wheel import read_wheel
 from lunarsci.rovers import read_rover
@@ -324,7 +325,9 @@ def test_nodes_are_as_close_as_a_wheel_is_large_and_the_map_stays_as_it_is() -> 
     # Three sigma of what lies between nodes are then a step that a wheel climbs.
     relief, _ = lunar_relief()
     rougher = math.exp(roughness_of_map(rough)[0])
-    assert 3.0 * rougher * math.sqrt(relief.at_one_m * told.deciding_m ** (2.0 * relief.hurst)) == pytest.approx(0.2)
+    assert STRANGE * rougher * math.sqrt(relief.at_one_m * told.deciding_m ** (2.0 * relief.hurst)) == pytest.approx(
+        0.2
+    )
 
 
 def test_a_map_tells_how_rough_its_ground_is() -> None:

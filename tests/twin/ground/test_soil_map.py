@@ -76,6 +76,23 @@ def test_two_zones_are_kriged_as_by_hand() -> None:
     assert mean[0] == pytest.approx(FIRST.mean + (near - 2.0 * far) * WIDTH, rel=1e-6)
 
 
+def test_the_nearest_zones_stand_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of ten zones along a way that bends, at places about it, means are near those by all of them."""
+    random, width, end = np.random.default_rng(0), np.sqrt(np.diag(FIRST.covariance)), np.zeros(2)
+    zones = []
+    for heading in random.uniform(0.0, 2.0 * np.pi, 10):
+        places = end + np.linspace(0.0, 4.0, 40)[:, None] * (np.cos(heading), np.sin(heading))
+        soil = SoilBelief(FIRST.laws, FIRST.mean + 0.5 * width * random.standard_normal(8), 0.1 * FIRST.covariance)
+        zones.append(Zone(name="zone", place_m=places, belief=soil))
+        end = places[-1]
+    soil_map, ways = SoilMap(zones=tuple(zones)), np.concatenate([one.place_m for one in zones])
+    places = random.uniform(ways.min(axis=0) - 4.0, ways.max(axis=0) + 4.0, (400, 2))
+    by_nearest, _ = soil_map.moments(places)
+    monkeypatch.setattr("lunarsci.twin.ground.soil_map.NEIGHBOURS", 10)
+    by_all, _ = soil_map.moments(places)
+    assert 0.0 < np.sqrt((((by_nearest - by_all) / width) ** 2).mean()) < 0.07
+
+
 def test_driven_places_have_their_zones_belief_and_far_ones_the_first_laws() -> None:
     line = np.arange(0.0, 4.01, 0.1)
     one, two = belief(1.5, 0.1), belief(-1.0, 0.3)

@@ -251,6 +251,8 @@ def test_a_mission_is_read(tmp_path: Path) -> None:
     ("old", "new", "said"),
     [
         ("[[target]]", "[target]", "double brackets"),
+        ("[[target]]", '[[target]]\nname = "rock"\nx_m = 1\ny_m = 1\n[[target]]', "name each of them differently"),
+        ("heading_sigma_deg = 0.5", "heading_sigma_deg = 0.5\nhalt_s = 9", "halt_s has no use"),
         ("x_m = 5", 'x_m = "5"', "give a number"),
         ("x_m = 5", "x_m = nan", "finite"),
         ("x_m = 5", "", "has no x_m"),

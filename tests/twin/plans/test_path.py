@@ -286,7 +286,7 @@ def test_plans_with_tests_are_written_and_read_back() -> None:
 
 
 WRONG = {
-    'wheel = "FL", rate_ratio = -1': "0.2 to 3",
+    'wheel = "FL", rate_ratio = -1': "a number above 0",
     'wheel = "FL", rate_ratio = "x"': "give a number",
     'wheel = "FL"': "has no rate_ratio",
     "rate_ratio = 0.5": "has no wheel",

@@ -477,9 +477,9 @@ def test_bad_states_are_one_line_that_names_the_file(tmp_path: Path, yutu2: Rove
 def test_draws_and_errors_out_of_range_are_refused(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]
     first, motion = first_belief(), rolling(4)
     known = (yutu2, slope(), motion)
-    with pytest.raises(ParameterError, match="too few"):
+    with pytest.raises(ParameterError, match="draws is 8; give 16"):
         draw_loads(*known, first.draws(8), middle_of(first), correlation_m=0.5)
-    with pytest.raises(ParameterError, match="error of the balance"):
+    with pytest.raises(ParameterError, match="balance_error is 0"):
         draw_loads(*known, first.draws(16), middle_of(first), correlation_m=0.5, balance_error=0.0)
     with pytest.raises(ParameterError, match="correlation length"):
         draw_loads(*known, first.draws(16), middle_of(first), correlation_m=0.0)
