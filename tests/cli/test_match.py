@@ -229,13 +229,13 @@ def test_craters_of_ones_own_need_a_site_and_the_embedded_ones_say_that_theirs_i
     [
         ((), "not both"),
         ((*MODES, "x.json"), "not both"),
-        (("--modes", "ol=0.2"), "NAME=VALUE:ERROR"),
+        (("--modes", "ol=0.2"), "ol=VALUE:ERROR"),
         (("--modes", "ol=0.2:0.1,quartz=0.1:0.1"), "with a NAME of ol"),
-        (("--modes", "ol=0.2:0.1,olivine=0.1:0.1"), "olivine is there twice"),
-        (("--modes", "ol=a:0.1,opx=0.1:0.1"), "'a' is not a number"),
-        (("--modes", "ol=nan:0.1,opx=0.1:0.1"), "is not a number"),
+        (("--modes", "ol=0.2:0.1,olivine=0.1:0.1"), "each once"),
+        (("--modes", "ol=a:0.1,opx=0.1:0.1"), "in numbers"),
+        (("--modes", "ol=nan:0.1,opx=0.1:0.1"), "in numbers"),
         ((*MODES, "--site", "95,0"), "latitude is 95"),
-        ((*MODES, "--site", "1"), "give latitude and longitude"),
+        ((*MODES, "--site", "1"), "give LAT,LON"),
         (
             (*MODES, "--site", "20.19,30.77"),
             "km from Chang'E-4, round which the embedded craters lie",

@@ -298,8 +298,8 @@ def _stated_modes(names: Sequence[str], file: InputFile | None) -> StatedModes:
     modes = read_modes(file)
     stated = {*modes.shares, *modes.absent}
     doubled = [name for name in names if name in stated and names.count(name) > 1]
-    if doubled:
-        raise ParameterError(f"{file.name}: '{doubled[0]}' is the id of two spectra; give each its own")
-    if names and not stated & set(names):
-        raise ParameterError(f"{file.name}: none of its ids is that of a spectrum, such as '{names[0]}'")
+    if doubled or (names and not stated & set(names)):
+        none = f"none of its ids is that of a spectrum, such as '{names[0]}'"
+        two = f"'{doubled[0]}' is the id of two spectra; give each its own" if doubled else ""
+        raise ParameterError(f"{file.name}: {two or none}")
     return modes
