@@ -31,6 +31,8 @@ SETTINGS = {
         "spectra/abundance/mixing.py: UNIT_NM", "spectra/abundance/end_members.py: LOWEST_NM, HIGHEST_NM",
                 "spectra/mgm/selection.py: COARSE_NM",
         "spectra/chemistry/plane.py: _NM_PER_UNIT", "spectra/abundance/kinds.py: WEATHERED",
+        "spectra/abundance/kinds.py: WINDOWS_NM", "spectra/abundance/kinds.py: VISIBLE_BLUE",
+        "spectra/abundance/learned.py: STEP_NM", "spectra/abundance/learned.py: SHARES",
         "spectra/abundance/shares.py: NOTHING", "spectra/readers/table.py: MAX_PERCENT",
         "spectra/mgm/forward.py: FWHM_OVER_SIGMA", "spectra/mgm/model.py: NM_PER_UM",
         "spectra/mgm/fit_file.py: NORMAL_95", "spectra/mgm/selection.py: LN_2PI", "spectra/noise.py: SECOND_DIFFERENCE",

@@ -150,7 +150,8 @@ MAX_FRACTION = 2.0
 """A median above this is no reflectance in fractions, even scaled to 1 at some wavelength; assumed."""
 SUN_VARIES = 0.7
 """Scatter of ln of the Sun's irradiance over the channels from which it tells radiance from reflectance: 450-1700 nm.
-Assumed; beyond it all of 508 spectra of laboratories and VNIS in percent are read, and 1 to 13 of their radiances."""
+Measured: beyond it all of 508 spectra of laboratories and VNIS in percent are read, and 1 to 13 of their radiances;
+`reflectance_unit` decides otherwise."""
 _MIN_PERCENT = 1.0
 """A median below this is no reflectance in percent; assumed."""
 MOST_LIKELY_PERCENT = 100.0
