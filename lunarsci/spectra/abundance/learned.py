@@ -32,7 +32,7 @@ DRAWS = 12
 """Pairs of spectra drawn where some is missing; measured: with 96 mean shares of 60 spectra of RELAB, cut or noisy,
 are others by 0.3 % root mean square, 1.6 % at most."""
 LEAST_DEPTH = 0.03
-"""Depth below the hull, in ln R, from which the shape is a band's and not the noise's; assumed."""
+"""Depth below the hull, in ln R, from which the shape that networks see is a band's: they were trained with it."""
 AT_ONCE = 4096
 """Spectra that go through the networks together."""
 

@@ -10,7 +10,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, permutations
 from typing import Any
 
 import numpy as np
@@ -207,6 +207,8 @@ def _by_keys(about: Sequence[str], width: int) -> list[str]:
     return [axes["x"], axes["y"]] if width == 2 and {"x", "y"} <= {*axes} else []
 
 
+MOST_COMPARED, SAME = 6, 2e-4
+"""Columns among which quotients are looked for, and relative difference that rounding makes; assumed."""
 _BEGINS = re.compile(r"(wavelengths?|wave|wl|wvl|wav|lambda)[ _.-]", re.IGNORECASE)
 _NUMBERED = re.compile(r"[ _.-]?\d+$")
 _UNIT = r"nm|um|µm|μm|micron\w*|nanomet\w+|micromet\w+"
@@ -389,7 +391,7 @@ def unnamed(
 
 
 def _without_copies(columns: Sequence[Column], notes: list[str]) -> list[Column]:
-    """Columns less those that repeat one before them."""
+    """Columns less those that repeat one before them; one that is the quotient of two others is said to be."""
     retained, copies = list[Column](), list[str]()
     for one in columns:
         same = next((other for other in retained if np.array_equal(one.values, other.values, equal_nan=True)), None)
@@ -399,7 +401,17 @@ def _without_copies(columns: Sequence[Column], notes: list[str]) -> list[Column]
             copies.append(f"{one.position} of {same.position}")
     if copies:
         notes.append(f"columns without names that repeat others left out: {', '.join(copies)}")
+    for ratio, over, under in permutations(retained, 3) if len(retained) <= MOST_COMPARED else ():
+        if over.position < under.position and _is_quotient(ratio.values, over.values, under.values):
+            notes.append(f"column {ratio.position} is column {over.position} over {under.position}, a ratio of spectra")
     return retained
+
+
+def _is_quotient(ratio: FloatArray, over: FloatArray, under: FloatArray) -> bool:
+    """Whether one column is another over a third, to the digits that files have."""
+    with np.errstate(all="ignore"):
+        off = np.abs(ratio * under / over - 1.0)
+    return bool(np.ptp(ratio) > 0 and np.median(off[np.isfinite(off)]) < SAME) if np.isfinite(off).any() else False
 
 
 def _is_count(values: FloatArray, first: FloatArray) -> bool:
