@@ -282,7 +282,7 @@ def mixed_estimate(
                   end_members is not None)  # fmt: skip
     for done, rows in enumerate(groups, start=1):
         given = [modes.shares.get(spectra[k].id) for k in rows]
-        wanted = (allowed if request.in_series else allowed[rows]).any(axis=0)
+        wanted = np.atleast_1d((allowed if request.in_series else allowed[rows]).any(axis=0))
         one = estimate_series(
             [spectra[k] for k in rows],
             [name for name, sought in zip(WEIGHED, wanted, strict=True) if sought] + dark,
