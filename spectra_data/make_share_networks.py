@@ -25,7 +25,6 @@ from lunarsci.minerals import WEIGHED
 from lunarsci.spectra.abundance.end_members import embedded_end_members
 from lunarsci.spectra.abundance.learned import (
     GRID_NM,
-    SMALLEST,
     Background,
     Network,
     features,
@@ -109,7 +108,7 @@ def measured(folder: Path) -> LabSpectra:
             weights, _ = on_grid(spectrum.wavelength_nm)
             modes = manifest.loc[spectrum.id, list(COLUMNS.values())].to_numpy(float)
             ids.append(spectrum.id)
-            rows.append(weights @ np.log(np.maximum(spectrum.reflectance, SMALLEST)))
+            rows.append(weights @ np.log(np.maximum(spectrum.reflectance, 1e-4)))
             shares.append(modes / modes.sum())
             about.append(manifest.loc[spectrum.id].to_dict() | {"part": part})
     suites = np.array([suite_of(id) for id in ids])

@@ -352,7 +352,7 @@ def estimate_series(
     Parameters
     ----------
     spectra : reflectance factors reaching over 750-2300 nm, up to 500.
-    minerals : two or more of `FAMILY_OF`, or others that `end_members` holds. `opaque` has a flat embedded end member.
+    minerals : two or more of `WEIGHED`, or others that `end_members` holds. `opaque` has a flat embedded end member.
     method : `hapke` mixes single-scattering albedos, `absorbance` mixes -ln R, `unmix` weights both by their evidence.
     end_members : instead of the embedded ones; at least one per mineral, over the channels compared.
     model_error : standard deviation of ln R at 20 nm, above 0 and below 1. [-]

@@ -35,11 +35,11 @@ WINDOWS_NM = {
     "um1_96": (1850.0, 2060.0),
     "um2_30": (2220.0, 2380.0),
 }
-"""Where the features are taken: the blue and visible slopes, both sides of the 1 um band, and the 2 um band.
-Assumed."""
+"""Where the features are taken that `kinds.csv` has the laws of: the blue and visible slopes, both sides of the 1 um
+band, and the 2 um band."""
 VISIBLE_BLUE = 0.35
-"""`visible` is ln R at 565 nm less this share of `blue`, both relative to 750 nm: what the slope does not explain.
-Assumed."""
+"""`visible`, as `kinds.csv` has its law, is ln R at 565 nm less this share of `blue`, both relative to 750 nm: what the
+slope does not explain."""
 FREEDOM = 10.0
 """Degrees of freedom of the tails; assumed."""
 LEAST_FEATURES = 6

@@ -22,19 +22,17 @@ from lunarsci.spectra.spectrum import NARROW_NM, Spectrum
 
 TABLE = "share_networks.npz"
 STEP_NM = 20.0
-"""Between channels of the networks: features of minerals are ten times as wide. Assumed."""
+"""Between channels of the networks."""
 GRID_NM = np.arange(450.0, 2451.0, STEP_NM)
 SHARES = np.linspace(0.0, 1.0, 21)
-"""Shares whose probabilities are foretold: mixtures are seldom weighed better than to 5 %. Assumed."""
+"""Shares that the networks have an output for."""
 NOISE = 0.02
 """Noise of ln R at 20 nm up to which networks see a spectrum as it is; measured: they were trained with up to that."""
 DRAWS = 12
 """Pairs of spectra drawn where some is missing; measured: with 96 mean shares of 60 spectra of RELAB, cut or noisy,
 are others by 0.3 % root mean square, 1.6 % at most."""
-SMALLEST = 1e-4
-"""Reflectance below which none counts; assumed."""
 LEAST_DEPTH = 0.03
-"""Depth below the hull, in ln R, from which the shape is a band's and not the noise's; assumed."""
+"""Depth below the hull, in ln R, from which the shape that networks see is a band's: they were trained with it."""
 AT_ONCE = 4096
 """Spectra that go through the networks together."""
 
@@ -220,7 +218,7 @@ def foretell(
     if not there.any():
         return Foretold.of_nothing(len(reflectance))
     networks, background = learned or embedded_networks()
-    seen = np.log(np.maximum(reflectance, SMALLEST)) @ weights[there].T
+    seen = np.log(reflectance) @ weights[there].T
     error = np.zeros_like(seen) if noise is None else np.sqrt(noise**2 @ (weights[there] ** 2).T)
     quiet = error.max(axis=1) <= NOISE
     probabilities, distance, shallow = np.zeros((len(seen), len(WEIGHED), SHARES.size)), *np.zeros((2, len(seen)))

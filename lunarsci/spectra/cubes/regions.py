@@ -114,11 +114,15 @@ def region_of(cube: Cube, roi: str | None = None, mask: str | None = None, every
             raise DataError(f"{mask}: has {_size(shape)}, the cube has {_size(cube.shape)}; a mask is of its size")
     if roi is None:
         return Region((0, cube.shape[0]), (0, cube.shape[1]), every, mask=source)
-    if (box := _BOX.fullmatch(roi)) is not None:
-        samples, lines = _span(box.group(1, 2), cube.shape[1], roi), _span(box.group(3, 4), cube.shape[0], roi)
-        return Region(lines, samples, every, mask=source)
+    if box := _BOX.fullmatch(roi):
+        (s0, s1), (line0, line1) = _span(box.group(1, 2), cube.shape[1]), _span(box.group(3, 4), cube.shape[0])
+        if 0 <= s0 < s1 <= cube.shape[1] and 0 <= line0 < line1 <= cube.shape[0]:
+            return Region((line0, line1), (s0, s1), every, mask=source)
     if not Path(roi).is_file():
-        raise RequestError(f"`roi` {roi}: is neither a box such as 10:60,0:100 (samples, lines) nor a GeoJSON file")
+        raise RequestError(
+            f"`roi` {roi}: is neither a box of samples and lines, at most 0:{cube.shape[1]},0:{cube.shape[0]}, nor a "
+            "GeoJSON file"
+        )
     polygons = _polygons(cube, roi)
     lines, samples = _bounds(cube, polygons, roi)
     return Region(lines, samples, every, polygons, source)
@@ -128,11 +132,8 @@ def _size(shape: tuple[int, int]) -> str:
     return f"{shape[0]} lines and {shape[1]} samples"
 
 
-def _span(ends: Any, size: int, roi: str) -> tuple[int, int]:
-    first, last = int(ends[0] or 0), int(ends[1] or size)
-    if not 0 <= first < last <= size:
-        raise RequestError(f"`roi` {roi}: {first}:{last} is no part of 0:{size}; ends rise and are within the cube")
-    return first, last
+def _span(ends: Any, size: int) -> tuple[int, int]:
+    return int(ends[0] or 0), int(ends[1] or size)
 
 
 def _polygons(cube: Cube, file: str) -> tuple[tuple[Ring, ...], ...]:

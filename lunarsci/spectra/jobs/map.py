@@ -213,14 +213,14 @@ def pixel(cube: str, place: str, request: MapRequest | None = None, **options: A
     Raises RequestError for a place that is none, or beside the cube.
     """
     asked = request_of(MapRequest, request, options)
-    if (numbers := re.fullmatch(r"\s*(\d{1,9})\s*,\s*(\d{1,9})\s*", place)) is None:
-        raise RequestError(f"`spectrum` {place}: give sample and line, such as 120,3400")
-    sample, line = int(numbers[1]), int(numbers[2])
     image = open_cube(str(cube), stated_of(asked))
     lines, samples = image.shape
+    numbers = re.fullmatch(r"\s*(\d{1,9})\s*,\s*(\d{1,9})\s*", place)
+    sample, line = (int(numbers[1]), int(numbers[2])) if numbers else (-1, -1)
     if not (0 <= sample < samples and 0 <= line < lines):
         raise RequestError(
-            f"`spectrum` {sample},{line}: the cube has samples 0 to {samples - 1} and lines 0 to {lines - 1}"
+            f"`spectrum` {place}: give sample and line; the cube has samples 0 to {samples - 1} and lines 0 to "
+            f"{lines - 1}"
         )
     at = slice(line, line + 1), slice(sample, sample + 1)
     reflectance, flags = image.read(*at)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lunarsci.constants import PAPER
-from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, ParameterError, RequestError
+from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, RequestError
 from lunarsci.io.inputs import InputFile, expand_inputs, read_input
 from lunarsci.io.records import Records, RecordsInBlocks, in_blocks
 from lunarsci.io.tables import table_hashes
@@ -31,7 +31,7 @@ from lunarsci.spectra.origin.composition import (
     joined,
     read_rocks,
     stated_composition,
-    stated_number,
+    stated_numbers,
 )
 from lunarsci.spectra.origin.match import (
     MatchSettings,
@@ -227,25 +227,12 @@ class Candidates:
 def _site(site: str | tuple[float, ...]) -> Point:
     """Two numbers, or the text `LAT,LON`, in degrees."""
     text = site if isinstance(site, str) else ",".join(map(str, site))
-    parts = text.split(",")
-    if len(parts) != 2:
-        raise RequestError(f"`site` {text}: give latitude and longitude, such as -45.44,177.56")
-    numbers = [stated_number(part, f"`site` {text}") for part in parts]
-    try:
-        return checked_point(*numbers)
-    except ParameterError as error:
-        raise RequestError(f"`site` {text}: {error}") from error
+    return stated_numbers("site", text, "LAT,LON, such as -45.44,177.56,", checked_point)
 
 
 def _span(text: str, option: str) -> Range:
     """`LOW:HIGH`, or one number for both."""
-    numbers = [stated_number(part, f"`{option}` {text}") for part in text.split(":")]
-    if len(numbers) > 2:
-        raise RequestError(f"`{option}` {text}: give LOW:HIGH")
-    try:
-        return Range(numbers[0], numbers[-1])
-    except ParameterError as error:
-        raise RequestError(f"`{option}` {text}: {error}") from error
+    return stated_numbers(option, text, "LOW:HIGH", lambda *ends: Range(ends[0], ends[-1]), (1, 2))
 
 
 def _rocks(sources: Sequence[Any], asked: MatchRequest) -> MatchInputs:
@@ -309,7 +296,7 @@ def _mapped(result: Candidates, maps: Sequence[str], annulus: str) -> Candidates
         if not equals or not file or mineral in names:
             raise RequestError(f"`mineral_map` '{item}': give MINERAL=FILE.tif, each mineral once, or MAP.nc of shares")
         names[mineral] = file
-    ring = _ring(annulus)
+    ring = stated_numbers("annulus", annulus, "IN:OUT (such as 1:2)", lambda *ends: ends)
     craters, reports = with_maps(result.craters, names, ring)
     hashes = {file: _digest(file) for file in names.values()}
     return Candidates(craters, result.source, result.inputs | hashes, result.tables, reports)
@@ -319,11 +306,3 @@ def _digest(file: str) -> str:
     """SHA-256 of a map, which may not fit into memory."""
     with Path(file).open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def _ring(text: str) -> tuple[float, float]:
-    """`IN:OUT` of the ring, which may begin at 0."""
-    numbers = [stated_number(part, f"`annulus` {text}") for part in text.split(":")]
-    if len(numbers) != 2:
-        raise RequestError(f"`annulus` {text}: give IN:OUT in rim radii, such as 1:2")
-    return numbers[0], numbers[1]

@@ -423,10 +423,8 @@ class MapRequest:
     locations: str | None = None
 
     def __post_init__(self) -> None:
-        if wrong := [name for name in self.wanted if name not in PRODUCTS]:
-            raise RequestError(f"`products` {wrong[0]}: there are {', '.join(PRODUCTS)}")
-        if not self.wanted:
-            raise RequestError(f"`products` is empty; there are {', '.join(PRODUCTS)}")
+        if wrong := [name for name in self.wanted or [""] if name not in PRODUCTS]:
+            raise RequestError(f"`products` {wrong[0] or 'is empty'}: there are {', '.join(PRODUCTS)}")
         check_intervals(self, {POSITIVE: "scale", f"[1, {ROWS}]": "contest_every", "[1, inf)": "every"})
         if self.both and "unmix" not in self.wanted:
             raise RequestError("`both` is of unmix; name it in `products`")

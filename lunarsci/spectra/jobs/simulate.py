@@ -1,6 +1,7 @@
 """Synthetic VNIS products of a made-up scene: what can be asked, and the files with the truth."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ from lunarsci.spectra.jobs.requests import SimulateVnisRequest
 from lunarsci.spectra.mgm.assemblages import TABLES as BANDS_TABLES
 from lunarsci.spectra.photometry import TABLE as PHASE_TABLE
 from lunarsci.spectra.photometry import Geometry, phase_function
+from lunarsci.spectra.rows import number
 from lunarsci.spectra.solar import SOLAR_SPECTRA, table_name
 from lunarsci.spectra.vnis.channels import TABLES
 from lunarsci.spectra.vnis.simulation.instrument import Instrument, Simulation
@@ -96,23 +98,21 @@ def _composition(text: str) -> SceneComposition:
     for part in text.split(","):
         key, _, value = part.partition("=")
         name = WORDS.get(key.strip().lower(), "")
-        if name not in keys.values() or name in fractions:
+        fraction = number(value.strip())
+        if name not in keys.values() or name in fractions or fraction is None:
             raise ParameterError(
-                f"composition '{text[:60]}': '{part}' is none of {', '.join(keys)} = fraction, each once"
+                f"composition '{text[:60]}': '{part}' is none of {', '.join(keys)} = fraction, each once; write "
+                "ol=0.1,opx=0.9"
             )
-        try:
-            fractions[name] = float(value)
-        except ValueError as error:
-            raise ParameterError(f"composition '{text[:60]}': '{value}' is no number; write ol=0.1,opx=0.9") from error
+        fractions[name] = fraction
     return SceneComposition(**fractions)
 
 
 def _moment(text: str) -> datetime:
     """A UTC time from ISO 8601. Raises ParameterError."""
-    try:
+    time = datetime.min
+    with suppress(ValueError):
         time = datetime.fromisoformat(text)
-    except ValueError as error:
-        raise ParameterError(f"'{text[:40]}' is no time; write it as 2020-07-16T08:20:00") from error
     if not 1960 <= time.year < 2100:
-        raise ParameterError(f"the year {time.year} is out of range; give a time from 1960 to 2099")
+        raise ParameterError(f"'{text[:40]}' is no time from 1960 to 2099; write it as 2020-07-16T08:20:00")
     return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)

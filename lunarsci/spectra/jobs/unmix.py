@@ -1,4 +1,13 @@
-"""`lunarsci.unmix`: shares of minerals, by networks and by mixtures of end members."""
+"""`lunarsci.unmix`: shares of minerals, by networks and by mixtures of end members.
+
+The way of a spectrum: its kind is found; a soil that space has weathered has no shares (`normative` instead). Networks
+foretell the probabilities of shares of all others. Where minerals, end members or modes are stated, mixtures of end
+members give such probabilities as well (`mixed_estimate`). `abundances` weighs both, by what they were worth on suites
+left out, and calibrates the outcome.
+
+Two estimates, since neither can do the other's work: networks have no end members that `library`, `together` and
+`known` could replace, and mixtures are the worse where nothing is known of the minerals (`docs/science/shares.md`).
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -184,16 +193,17 @@ def unmix(
     if asked.together and not asked.mixes:
         warn("`together` needs the minerals by name (`assemblage`): each spectrum is answered by itself")
     named = named_minerals(asked.assemblage) if asked.assemblage else list(WEIGHED)
-    soils = [index for index, kind in enumerate(kinds) if kind.kind == "weathered-soil" and not modes_file]
-    taken = [index for index in range(len(kinds)) if index not in set(soils)]
-    result = dict(zip(taken, _shares([batch.spectra[k] for k in taken], [kinds[k] for k in taken], named, modes,
-                                    end_members, asked, progress), strict=True))  # fmt: skip
-    result |= {k: refused(batch.spectra[k].id, "unmix", named, REFUSED) for k in soils}
-    weathered = [index for index, kind in enumerate(kinds) if kind.is_weathered and not modes_file]
+    shares = [refused(one.id, "unmix", named, REFUSED) for one in batch.spectra]
+    mixed = [index for index, kind in enumerate(kinds) if modes_file or kind.kind != "weathered-soil"]
+    unmixed = _shares([batch.spectra[k] for k in mixed], [kinds[k] for k in mixed], named, modes, end_members, asked,
+                      progress)  # fmt: skip
+    for index, one in zip(mixed, unmixed, strict=True):
+        shares[index] = one
+    weathered = [] if modes_file else [index for index, kind in enumerate(kinds) if kind.is_weathered]
     return UnmixedSpectra(
         batch=batch,
         request=asked,
-        shares=[result[index] for index in range(len(kinds))],
+        shares=shares,
         kinds=kinds,
         normatives={index: normative(batch.spectra[index], kinds[index]) for index in weathered},
         chondrites=_chondrites(batch.spectra, kinds),
@@ -257,34 +267,32 @@ def mixed_estimate(
 
     That is where a spectrum is too short, or has one mineral only. Raises DataError where no spectrum can be mixed.
     """
-    how: dict[str, Any] = {
-        "method": "unmix" if request.method == "both" else request.method,
-        "end_members": end_members,
-        "iron": request.iron,
-    }
+    method = "unmix" if request.method == "both" else request.method
     dark = [OPAQUE] * request.opaque
     there = [index for index, spectrum in enumerate(spectra) if reaches(spectrum)]
-    names = [[name for k, name in enumerate(WEIGHED) if row[k]] for row in allowed]
-    if request.in_series:
-        groups, minerals = [there], [name for k, name in enumerate(WEIGHED) if allowed[:, k].any()]
-        stated = [modes.shares.get(spectrum.id) for spectrum in spectra]
-        free = [None if modes_of_one else some + dark for modes_of_one, some in zip(stated, names, strict=True)]
-        how |= {"present": [free[k] for k in there], "given": [stated[k] for k in there]}
-    else:
-        groups = [[index] for index in there if len(names[index]) > 1]
     if not there and end_members is not None:
         raise DataError(f"no spectrum reaches over {NEEDED_NM[0]:g} to {NEEDED_NM[1]:g} nm, as mixing needs")
+    names = [[name for k, name in enumerate(WEIGHED) if row[k]] for row in allowed]
+    groups = [[index] for index in there if len(names[index]) > 1]
+    if request.in_series:
+        groups = [there] if there else []
     count = len(spectra)
     result = Mixed(foretold.probabilities.copy(), np.ones(count), np.full(count, np.nan), request.in_series,
                   end_members is not None)  # fmt: skip
-    for done, rows in enumerate(filter(None, groups), start=1):
-        wanted = minerals if request.in_series else names[rows[0]]
-        one = estimate_series([spectra[k] for k in rows], wanted + dark, **how)
-        result.probabilities[rows], result.strange[rows], result.rms_ln[rows] = (
-            one.probabilities,
-            one.strange,
-            one.rms_ln,
+    for done, rows in enumerate(groups, start=1):
+        given = [modes.shares.get(spectra[k].id) for k in rows]
+        wanted = np.atleast_1d((allowed if request.in_series else allowed[rows]).any(axis=0))
+        one = estimate_series(
+            [spectra[k] for k in rows],
+            [name for name, sought in zip(WEIGHED, wanted, strict=True) if sought] + dark,
+            method=method,
+            end_members=end_members,
+            iron=request.iron,
+            present=[None if stated else names[k] + dark for k, stated in zip(rows, given, strict=True)],
+            given=given,
         )
+        for name in ("probabilities", "strange", "rms_ln"):
+            getattr(result, name)[rows] = getattr(one, name)
         if progress:
             progress(done, len(groups))
     return result
@@ -297,8 +305,8 @@ def _stated_modes(names: Sequence[str], file: InputFile | None) -> StatedModes:
     modes = read_modes(file)
     stated = {*modes.shares, *modes.absent}
     doubled = [name for name in names if name in stated and names.count(name) > 1]
-    if doubled:
-        raise ParameterError(f"{file.name}: '{doubled[0]}' is the id of two spectra; give each its own")
-    if names and not stated & set(names):
-        raise ParameterError(f"{file.name}: none of its ids is that of a spectrum, such as '{names[0]}'")
+    if doubled or (names and not stated & set(names)):
+        none = f"none of its ids is that of a spectrum, such as '{names[0]}'"
+        two = f"'{doubled[0]}' is the id of two spectra; give each its own" if doubled else ""
+        raise ParameterError(f"{file.name}: {two or none}")
     return modes

@@ -5,10 +5,10 @@ Rocks from the JSON results of `lunarsci spectra fit` and `lunarsci spectra band
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -293,11 +293,25 @@ def stated_composition(
     return Composition(shares, _pairs(bands, "bands", BAND_NAMES)), (remark,) if remark else ()
 
 
-def stated_number(text: str, where: str) -> float:
-    value = number(text.strip())
-    if value is None or not math.isfinite(value):
-        raise RequestError(f"{where}: '{text.strip()}' is not a number")
-    return value
+Stated = TypeVar("Stated")
+
+
+def stated_numbers(
+    option: str, text: str, form: str, make: Callable[..., Stated], counts: tuple[int, ...] = (2,)
+) -> Stated:
+    """What is made of the numbers of an option, which commas or colons part, as `form` has it.
+
+    Raises RequestError for another text, and where `make` raises ParameterError.
+    """
+    values = [number(part.strip()) for part in text.split("," if "," in form else ":")]
+    finite = [value for value in values if value is not None and math.isfinite(value)]
+    try:
+        if len(finite) == len(values) and len(values) in counts:
+            return make(*finite)
+        why = f"give {form} in numbers"
+    except ParameterError as error:
+        why = str(error)
+    raise RequestError(f"`{option}` {text}: {why}")
 
 
 def _pairs(text: str | None, option: str, names: dict[str, str]) -> dict[str, Value]:
@@ -305,13 +319,9 @@ def _pairs(text: str | None, option: str, names: dict[str, str]) -> dict[str, Va
     pairs: dict[str, Value] = {}
     for part in text.split(",") if text else []:
         key, equals, numbers = part.partition("=")
-        value, colon, sigma = numbers.partition(":")
         name = names.get(key.strip().lower())
-        if name in pairs:
-            raise RequestError(f"`{option}`: {name} is there twice; give it once")
-        if not (equals and colon and name):
-            raise RequestError(
-                f"`{option}` '{part}': give NAME=VALUE:ERROR, with a NAME of {', '.join(dict.fromkeys(names.values()))}"
-            )
-        pairs[name] = (stated_number(value, f"`{option}` {key}"), stated_number(sigma, f"`{option}` {key}"))
+        if not (equals and name) or name in pairs:
+            listed = ", ".join(dict.fromkeys(names.values()))
+            raise RequestError(f"`{option}` '{part}': give NAME=VALUE:ERROR, each once, with a NAME of {listed}")
+        pairs[name] = stated_numbers(option, numbers, f"{key}=VALUE:ERROR", lambda value, sigma: (value, sigma))
     return pairs

@@ -658,7 +658,7 @@ def assumptions(
 def _not_compared(matches: RockMatches) -> list[str]:
     """Minerals of rocks that no crater states, where any states modes."""
     stated = {mineral for crater in matches.craters for mineral in crater.composition.modes}
-    of_rocks = np.asarray(np.isfinite(matches.evidence.rocks.modes).any(axis=0))
+    of_rocks = np.atleast_1d(np.isfinite(matches.evidence.rocks.modes).any(axis=0))
     left = [mineral for k, mineral in enumerate(WITH_BANDS) if of_rocks[k] and mineral not in stated]
     text = f"no crater states its {' or '.join(left)}: shares of the rocks are compared without"
     return [text] if left and stated else []

@@ -157,8 +157,8 @@ def local_to_ejecta_ratio(distance_km: npt.ArrayLike) -> FloatArray:
 CHANG_E_4 = (-45.44, 177.56)
 """Site of the fin-shaped rock, Ding et al. (2024), 10.1038/s41467-024-46233-8. [deg]"""
 CHANG_E_4_SURFACE_MA = 3600.0
-"""Age of the mare at Chang'E-4, assumed: 3.6-3.7 Ga by crater counts, others find 3.42-2.28 Ga, as the literature
-of the site has it, such as Remote Sens. 14, 49 (2022), 10.3390/rs14010049, of which the beginning was read. [Ma]"""
+"""Age of the mare at Chang'E-4: 3.6 and 3.7 Ga by crater counts of Ling et al. (2019), 10.1016/j.pss.2019.104741, whose
+abstract was read; others find 3.42-2.28 Ga, 10.3390/rs14010049. [Ma]"""
 STAGES = ("direct", "stirred", "gardened")
 DRAWS = 16384
 VALUES_AT_ONCE = 2_000_000

@@ -371,13 +371,12 @@ def _systematic(names: Sequence[str], places: Sequence[int], file: str) -> dict[
 
 
 def _pair(pairs: dict[int, int], owner: int | None, sigma: int, names: Sequence[str], file: str) -> None:
-    if owner is None:
+    if owner is None or owner in pairs:
+        beside = f", beside {quoted(names[pairs[owner]])} of {quoted(names[owner])}" if owner is not None else ""
         raise DataError(
-            f"{file}: it is unclear whose uncertainty {quoted(names[sigma])} is; name it COLUMN_sigma after its column"
+            f"{file}: it is unclear whose uncertainty {quoted(names[sigma])} is{beside}; name it COLUMN_sigma after "
+            "its column, one of each"
         )
-    if owner in pairs:
-        both = f"{quoted(names[pairs[owner]])} and {quoted(names[sigma])}"
-        raise DataError(f"{file}: {both} are both uncertainties of {quoted(names[owner])}; keep one")
     pairs[owner] = sigma
 
 

@@ -129,8 +129,6 @@ def partner(name: str, candidates: Sequence[str], what: str) -> str:
 def _fields(header: InputFile) -> dict[str, str]:
     """Key to value, keys in lower case, braces and line breaks removed."""
     lines = inputs.text(header).replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    if lines[0].strip() != "ENVI":
-        raise DataError(f"{header.name}: is no ENVI header: its first line is not 'ENVI'; fetch it again")
     fields: dict[str, str] = {}
     open_key, open_line, parts = "", 0, list[str]()
     for n, line in enumerate(lines[1:], 2):
@@ -146,9 +144,10 @@ def _fields(header: InputFile) -> dict[str, str]:
         if open_key and "}" in parts[-1]:
             parts[-1] = parts[-1].partition("}")[0]
             fields[open_key], open_key = " ".join(parts), ""
-    if open_key:
-        what = f"{header.name}: line {open_line}: the braces of '{open_key[:40]}' are never closed"
-        raise DataError(f"{what} (truncated download?); fetch the file again")
+    if open_key or lines[0].strip() != "ENVI":
+        what = f"line {open_line}: the braces of '{open_key[:40]}' are never closed (truncated download?)"
+        what = what if open_key else "is no ENVI header: its first line is not 'ENVI'"
+        raise DataError(f"{header.name}: {what}; fetch it again")
     return fields
 
 
@@ -217,16 +216,16 @@ def read_envi(source: InputFile) -> SpectrumTable:
 
 def _size(header: EnviHeader) -> tuple[int, int]:
     """Channels and spectra. Raises DataError for a header of no library."""
-    file, kind = header.file, header.fields.get("file type", "")
-    if " ".join(kind.split()).lower() != _LIBRARY:
-        is_what = quoted(kind) if kind else "of no file type"
-        remedy = "give a library; of an image, `lunarsci spectra map` makes maps and takes spectra out"
-        raise DataError(f"{file}: is an ENVI header {is_what}, not of an 'ENVI Spectral Library'; {remedy}")
-    channels, spectra = header.whole("samples"), header.whole("lines")
-    bands = header.whole("bands", "1")
-    if bands != 1 or channels < 1 or spectra < 1 or channels * spectra > _MOST_VALUES:
-        size = f"samples = {channels}, lines = {spectra} and bands = {bands}"
-        raise DataError(f"{file}: {size} are no possible library, which has 1 band; check the header")
+    kind = header.fields.get("file type", "")
+    channels, spectra, bands = header.whole("samples"), header.whole("lines"), header.whole("bands", "1")
+    is_library = " ".join(kind.split()).lower() == _LIBRARY
+    if not is_library or bands != 1 or not 0 < channels * spectra <= _MOST_VALUES:
+        what = f"samples = {channels}, lines = {spectra} and bands = {bands} are no possible library; check the header"
+        if not is_library:
+            named = quoted(kind) if kind else "of no file type"
+            remedy = "give a library; of an image, `lunarsci spectra map` makes maps and takes spectra out"
+            what = f"is an ENVI header {named}, not of an 'ENVI Spectral Library'; {remedy}"
+        raise DataError(f"{header.file}: {what}")
     return channels, spectra
 
 

@@ -291,10 +291,11 @@ def _digits(form: str, letters: str) -> float:
 
 def read_json(source: InputFile) -> SpectrumTable:
     """Read lists by name, or a list of rows with names, as pandas writes them. Raises DataError for any other JSON."""
+    result, why = None, "without two lists of numbers"
     try:
         result = json_document(inputs.text(source))
     except ValueError as error:
-        raise DataError(f"{source.name}: broken JSON ({str(error)[:80]}); fetch it again") from error
+        why = f"that is broken ({str(error)[:80]})"
     if isinstance(result, list) and result and all(isinstance(row, dict) for row in result):
         result = {name: [row.get(name) for row in result] for name in result[0]}
     lists = dict[str, list[Any]]()
@@ -304,7 +305,7 @@ def read_json(source: InputFile) -> SpectrumTable:
             lists[str(name)] = cells
     lists = {name: one for name, one in lists.items() if len(one) == max(map(len, lists.values()))}
     if len(lists) < 2:
-        raise DataError(f"{source.name}: is JSON without two lists of numbers; save the spectra as CSV or ECSV")
+        raise DataError(f"{source.name}: is JSON {why}; fetch it again, or save the spectra as CSV or ECSV")
     roles = assign_roles([*lists], source)
 
     def column(k: int) -> Column:

@@ -87,16 +87,15 @@ class EndMember:
         self._check_sample()
 
     def _check_sample(self) -> None:
-        for names, most, what in (
-            (COMPONENTS, 1.0, "no mole fraction; give 0 to 1, not per cent"),
-            (("min_um", "max_um"), 1e9, "no grain size; give um, 0 or more"),
+        for names, least, most, what in (
+            (COMPONENTS, 0.0, 1.0, "no mole fraction; give 0 to 1, not per cent"),
+            (("min_um",), 0.0, 1e9, "no grain size; give um, 0 or more"),
+            (("max_um",), self.min_um or 0.0, 1e9, f"no grain size from {self.min_um or 0.0:g} um on; give um"),
         ):
             for name in names:
                 value = getattr(self, name)
-                if value is not None and not 0 <= value <= most:
+                if value is not None and not least <= value <= most:
                     raise DataError(f"{self.id}: {name} = {value:g} is {what}")
-        if self.min_um is not None and self.max_um is not None and self.min_um > self.max_um:
-            raise DataError(f"{self.id}: grain sizes run from {self.min_um:g} down to {self.max_um:g} um; swap them")
 
     def sample(self) -> dict[str, Any]:
         """Everything but the id and the spectrum, as plain values."""

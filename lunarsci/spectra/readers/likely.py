@@ -86,8 +86,7 @@ LONE_STEP = 0.5
 channel of 560 measured spectra of the Moon, of meteorites and minerals does. [-]"""
 TOO_SMOOTH = 5.0
 """Times the scatter from channel to channel that errors are, in the median, before it is said that they cannot be
-independent; assumed. Measured: 1.2 of calibrated spectra of VNIS, 12 to 95 of means of samples with their standard
-deviation."""
+independent; measured: 1.2 of calibrated spectra of VNIS, 12 to 95 of means of samples with their standard deviation."""
 STEP_CHANNELS, STEP_SURE, LEAST_STEP = 5, 10.0, 0.01
 """Channels on either side of a step, errors by which straight lines through them miss each other, and the least ratio
 by which they do, in ln R. Assumed: none of 471 spectra of laboratories has one (7.9 at most), and steps of 3 % at

@@ -78,18 +78,16 @@ def read_solar_spectrum(source: InputFile) -> SolarSpectrum:
 
 
 def _check_values(table: _Table, file: str) -> None:
-    for what, values in (("wavelength", table.wavelength), ("irradiance", table.irradiance)):
-        bad = np.flatnonzero(~(np.isfinite(values) & (values > 0)))
-        if bad.size:
-            raise DataError(
-                f"{file}: {table.places[bad[0]]}: {what} is {values[bad[0]]:g}, it must be a number above 0; correct "
-                "or delete that row"
-            )
     order = np.argsort(table.wavelength, kind="stable")
-    again = np.flatnonzero(np.diff(table.wavelength[order]) == 0)
-    if again.size:
-        k = order[again[0] + 1]
-        raise DataError(f"{file}: {table.places[k]}: a second {table.wavelength[k]:g}; keep one row per wavelength")
+    again = order[1:][np.diff(table.wavelength[order]) == 0]
+    faults = [(k, f"a second {table.wavelength[k]:g}; keep one row per wavelength") for k in again[:1]]
+    for what, values in (("irradiance", table.irradiance), ("wavelength", table.wavelength)):
+        bad = np.flatnonzero(~(np.isfinite(values) & (values > 0)))[:1]
+        faults += [
+            (k, f"{what} is {values[k]:g}, it must be a number above 0; correct or delete that row") for k in bad
+        ]
+    if faults:
+        raise DataError(f"{file}: {table.places[faults[-1][0]]}: {faults[-1][1]}")
 
 
 def _ascending(table: _Table, file: str) -> tuple[FloatArray, FloatArray]:

@@ -150,7 +150,8 @@ MAX_FRACTION = 2.0
 """A median above this is no reflectance in fractions, even scaled to 1 at some wavelength; assumed."""
 SUN_VARIES = 0.7
 """Scatter of ln of the Sun's irradiance over the channels from which it tells radiance from reflectance: 450-1700 nm.
-Assumed; beyond it all of 508 spectra of laboratories and VNIS in percent are read, and 1 to 13 of their radiances."""
+Measured: beyond it all of 508 spectra of laboratories and VNIS in percent are read, and 1 to 13 of their radiances;
+`reflectance_unit` decides otherwise."""
 _MIN_PERCENT = 1.0
 """A median below this is no reflectance in percent; assumed."""
 MOST_LIKELY_PERCENT = 100.0
@@ -241,17 +242,12 @@ def _wavelength_choice(result: str | None, stated: str | None, low: float, high:
         if not _plausible(stated, low, high):
             warn(f"{what} read as {_SYMBOL[stated]} because it was stated; the values do not look like it")
         return stated, "caller"
-    if result is not None:
-        raise DataError(
-            f"{what} cannot be {_SYMBOL[result]} as the file says; give `wavelength_unit` nm or um, angstrom or 1/cm"
-        )
     for unit, (least, most) in SURELY.items():
-        if least <= low and high <= most:
+        if result is None and least <= low and high <= most:
             warn(f"{what} read as {_SYMBOL[unit]}; name the column wavelength_{unit} or give `wavelength_unit` {unit}")
             return unit, "values"
-    raise DataError(
-        f"{what} have no unit and the values do not tell it; give `wavelength_unit` nm or um, angstrom or 1/cm"
-    )
+    why = f"cannot be {_SYMBOL[result]} as the file says" if result else "have no unit and the values do not tell it"
+    raise DataError(f"{what} {why}; give `wavelength_unit` nm or um, angstrom or 1/cm")
 
 
 def _plausible(unit: str, low: float, high: float) -> bool:
@@ -300,18 +296,14 @@ def reflectance_unit(
         return ReflectanceChoice(SCALES[result], "file", "overruled" if stated not in (None, result) else None)
     if stated is not None:
         return ReflectanceChoice(SCALES[stated], "caller", "unlikely" if _contradicts(stated, median) else None)
-    what = f"{file}: column {column.label} has a median of {median:.4g}"
-    if result is not None and median <= MAX_PERCENT:
-        raise DataError(f"{what}, which is no {result} as the file says; give `reflectance_unit` fraction or percent")
-    if result is None and by_size is not None:
-        return ReflectanceChoice(SCALES[by_size], "values", None)
+    if result is None and (by_size is not None or not _contradicts("fraction", median)):
+        return ReflectanceChoice(SCALES[by_size or "fraction"], "values", None)
+    why = "no fraction; give `reflectance_unit` percent, or calibrate it if it is radiance or DN"
     if median > MAX_PERCENT:
-        raise DataError(f"{what}: looks like radiance or DN, not reflectance; calibrate it first")
-    if _contradicts("fraction", median):
-        raise DataError(
-            f"{what}, no fraction; give `reflectance_unit` percent, or calibrate it if it is radiance or DN"
-        )
-    return ReflectanceChoice(1.0, "values", None)
+        why = "which looks like radiance or DN, not reflectance; calibrate it first"
+    elif result is not None:
+        why = f"which is no {result} as the file says; give `reflectance_unit` fraction or percent"
+    raise DataError(f"{file}: column {column.label} has a median of {median:.4g}, {why}")
 
 
 def unit_by_size(

@@ -10,6 +10,7 @@ import pytest
 from lunarsci.errors import DataError, RequestError
 from lunarsci.spectra.cubes.rasters import open_cube
 from lunarsci.spectra.cubes.regions import region_of
+from lunarsci.spectra.jobs.requests import MapRequest
 
 from .conftest import spectra
 from .test_rasters import backplane, m3, tiff
@@ -47,6 +48,8 @@ def test_boxes(envi: Any) -> None:
     for wrong in ("9:3,0:5", "0:31,0:5", "0:5", "a:b,c:d", "nowhere.json"):
         with pytest.raises(RequestError, match="`roi`"):
             region_of(cube, wrong)
+    with pytest.raises(RequestError, match="`every`"):
+        MapRequest(every=0)
 
 
 def test_every_nth_pixel_keeps_its_place(tmp_path: Path) -> None:

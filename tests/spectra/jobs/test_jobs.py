@@ -87,9 +87,9 @@ def test_a_library_is_made_written_and_opened(calibrated: Calibrations, tmp_path
 @pytest.mark.parametrize(
     ("ask", "error", "message"),
     [
-        (lambda: match(site="here", modes="ol=0.5:0.1,opx=0.5:0.1"), RequestError, "`site` here: give latitude"),
+        (lambda: match(site="here", modes="ol=0.5:0.1,opx=0.5:0.1"), RequestError, "`site` here: give LAT,LON"),
         (lambda: match(), RequestError, "`modes` or `bands` for one rock"),
-        (lambda: match(modes="ol=0.5"), RequestError, "`modes` 'ol=0.5': give NAME=VALUE:ERROR"),
+        (lambda: match(modes="ol=0.5"), RequestError, "`modes` 0.5: give ol=VALUE:ERROR"),
         (lambda: match(request=MatchRequest(rock_life="80:40", modes="ol=1:0")), RequestError, "`rock_life` 80:40"),
         (lambda: simulate(soil="ol=1.5"), ParameterError, "ol|olivine"),
         (lambda: simulate(time="noon"), ParameterError, "'noon' is no time"),
@@ -177,8 +177,8 @@ def test_arrays_in_percent_are_read_so() -> None:
             r"shape \(379,\) beside 380 wavelengths; give \(wavelength_nm, reflectance\)",
         ),
         (np.array([WAVELENGTH_NM, REFLECTANCE]), "or a third array of standard deviations"),
-        ((WAVELENGTH_NM[:9], np.full((9, 9), 0.2)), "as many spectra as channels"),
-        ((WAVELENGTH_NM, np.array([REFLECTANCE] * 3), np.ones((2, 380))), "2 rows of errors for 3 spectra"),
+        ((WAVELENGTH_NM[:9], np.full((9, 9), 0.2)), r"shape \(9, 9\) beside 9 wavelengths; give \(wavelength_nm"),
+        ((WAVELENGTH_NM, np.array([REFLECTANCE] * 3), np.ones((2, 380))), "3 spectra and 2 rows of errors"),
     ],
 )
 def test_arrays_that_are_no_spectrum_say_what_to_give(given: Any, said: str) -> None:

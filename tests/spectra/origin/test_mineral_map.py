@@ -1,6 +1,6 @@
 """Compositions from mineral maps: made-up maps whose ring means are known, in every layout a map may have."""
 
-import builtins
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -225,14 +225,7 @@ def test_an_empty_window_keeps_the_catalogue_and_no_map_is_needed_without_one(tm
 
 def test_without_rasterio_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     files = maps(tmp_path, olivine=10, plagioclase=60)
-    real = builtins.__import__
-
-    def absent(name: str, *rest: Any) -> Any:
-        if name.startswith("rasterio"):
-            raise ImportError(name)
-        return real(name, *rest)
-
-    monkeypatch.setattr(builtins, "__import__", absent)
+    monkeypatch.setitem(sys.modules, "rasterio", None)
     with pytest.raises(ParameterError, match=r"lunarsci\[cubes\]"):
         with_maps([crater(-45, 10)], files)
 

@@ -128,7 +128,7 @@ def test_one_spectrum_may_have_commas_in_its_name(tmp_path: Path) -> None:
         ("samples = 3", "samples = 999999999999", "no possible library"),
         ("samples = 3", "samples = 4", "3 'wavelength' for samples = 4"),
         ("lines   = 2", "lines = 3", "2 'spectra names' for lines = 3 (a comma in a name?)"),
-        ("bands   = 1", "bands = 2", "bands = 2 are no possible library, which has 1"),
+        ("bands   = 1", "bands = 2", "bands = 2 are no possible library"),
         ("data type = 4", "data type = 6", "'data type' is '6' and"),
         ("byte order = 0", "byte order = 7", "'byte order' '7'; real"),
         ("header offset = 0", "header offset = -4", "'header offset' is '-4', no whole number"),

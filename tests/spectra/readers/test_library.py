@@ -111,7 +111,7 @@ def spoiled(old: str, new: str) -> InputFile:
         ("fo: 0.57", "fo: rich", "fo is 'rich', no number"),
         ("max_um: 45.0", "max_um: -1", "max_um = -1 is no grain size"),
         ("max_um: 45.0", "max_um: .inf", "max_um = inf is no grain size"),
-        ("min_um: null", "min_um: 90", "from 90 down to 45 um"),
+        ("min_um: null", "min_um: 90", "no grain size from 90 um on"),
     ],
 )
 def test_a_wrong_description_is_one_line_with_file_and_id(old: str, new: str, message: str) -> None:

@@ -190,7 +190,9 @@ def test_an_uncertainty_of_nobody_is_refused(refuse: Refuse, names: str) -> None
 
 
 def test_two_uncertainties_of_one_column_are_refused(refuse: Refuse) -> None:
-    assert "both uncertainties of 'a'" in refuse("wavelength_nm,a,a_std,a_err\n400,.1,.2,.01\n500,.1,.2,.01\n")
+    assert "whose uncertainty 'a_err' is, beside 'a_std' of 'a'" in refuse(
+        "wavelength_nm,a,a_std,a_err\n400,.1,.2,.01\n500,.1,.2,.01\n"
+    )
 
 
 @pytest.mark.parametrize("name", ["fwhm_nm", "FWHM", "Band", "flag", "wavelength_err", "radiance", "cal_factor"])
