@@ -34,7 +34,8 @@ STEERED_DEG = 0.5
 STEERING_DEG = STEERED_DEG * math.sqrt(
     2.0 * (math.log(360.0 / (math.sqrt(2.0 * math.pi) * STEERED_DEG)) - LN_ODDS["reading"])
 )
-"""Difference from which it is more probable that one of the two says nothing: it may be any angle then. [deg]"""
+"""Difference from which it is more probable, by `STEERED_DEG` and `LN_ODDS`, that one of the two says nothing: it may
+be any angle then. [deg]"""
 FEWEST_RATES = 5
 AGAINST_PLAN = "wheels against plan"
 """Kind of the finding; a soil is found with a plan of its own, so that it does not stay with the states."""
@@ -616,7 +617,7 @@ def usable_positions(telemetry: Telemetry, way_m: FloatArray, findings: Findings
     `way_m` is the way of the rims until each row. (n,) Raises DataError where fewer than two are left.
     """
     given, value = telemetry.fixed, telemetry.fix_covariance_m2
-    complete = np.isfinite(value).all(axis=(1, 2))
+    complete: BoolArray = np.asarray(np.isfinite(value).all(axis=(1, 2)))
     least = np.linalg.eigvalsh(np.where(complete[:, None, None], value, -np.eye(2)))[:, 0]
     sigma = np.where(least > 0, np.sqrt(np.abs(np.trace(value, axis1=1, axis2=2)) / 2.0), np.nan)
     bad = "bad covariance", "errors that are missing, 0, negative, or no covariance"

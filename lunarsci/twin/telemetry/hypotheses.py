@@ -237,7 +237,7 @@ def _ln_of_units(tried: dict[str, Unit], ratios: dict[tuple[str, str], float], f
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Frame:
+class AxesHypothesis:
     """A way to read positions, headings and steering.
 
     Attributes
@@ -288,9 +288,9 @@ class Frame:
 
 MIRRORED = ((1.0, 0.0), (0.0, -1.0))
 FRAMES = (
-    Frame(meaning="", ln_odds=0.0),
-    Frame(meaning="", errors=0.3, ln_odds=LN_ODDS["motion"]),
-    Frame(
+    AxesHypothesis(meaning="", ln_odds=0.0),
+    AxesHypothesis(meaning="", errors=0.3, ln_odds=LN_ODDS["motion"]),
+    AxesHypothesis(
         meaning="x_m and y_m are computed from the wheels",
         way_sigma=ROLLED,
         least_m=FINEST_M,
@@ -300,7 +300,7 @@ FRAMES = (
             "kept; give positions by pictures, lidar or radio",
         ),
     ),
-    Frame(
+    AxesHypothesis(
         meaning="another frame",
         way_sigma=2.0,
         turn=0.0,
@@ -311,26 +311,32 @@ FRAMES = (
             "kept as they are",
         ),
     ),
-    Frame(meaning="x_m and y_m are exchanged", place=((0.0, 1.0), (1.0, 0.0))),
-    Frame(meaning="y_m points to the right of x_m", place=MIRRORED),
-    Frame(meaning="yaw_deg grows to the right, as in a frame with z down", yaw=(-1.0, 0.0)),
-    Frame(meaning="yaw_deg is measured from y (north) clockwise", yaw=(-1.0, 90.0)),
-    Frame(meaning="yaw_deg is measured from y", yaw=(1.0, 90.0)),
-    Frame(meaning="yaw_deg points backwards", yaw=(1.0, 180.0)),
-    Frame(meaning="yaw_deg looks like rad", yaw=(DEG, 0.0)),
-    Frame(
+    AxesHypothesis(meaning="x_m and y_m are exchanged", place=((0.0, 1.0), (1.0, 0.0))),
+    AxesHypothesis(meaning="y_m points to the right of x_m", place=MIRRORED),
+    AxesHypothesis(meaning="yaw_deg grows to the right, as in a frame with z down", yaw=(-1.0, 0.0)),
+    AxesHypothesis(meaning="yaw_deg is measured from y (north) clockwise", yaw=(-1.0, 90.0)),
+    AxesHypothesis(meaning="yaw_deg is measured from y", yaw=(1.0, 90.0)),
+    AxesHypothesis(meaning="yaw_deg points backwards", yaw=(1.0, 180.0)),
+    AxesHypothesis(meaning="yaw_deg looks like rad", yaw=(DEG, 0.0)),
+    AxesHypothesis(
         meaning="x, y and yaw_deg are those of a frame with z down (x north, y east)", yaw=(-1.0, 0.0), place=MIRRORED
     ),
-    Frame(meaning="steering is positive to the right", turn=-1.0),
-    Frame(meaning="the steering angles look like rad", turn=DEG),
-    Frame(meaning="the turns of the wheels look like rad", rims=DEG),
-    *(Frame(meaning=f"errors of positions look like {unit}", errors=UNITS["m"][unit]) for unit in ("mm", "cm")),
+    AxesHypothesis(meaning="steering is positive to the right", turn=-1.0),
+    AxesHypothesis(meaning="the steering angles look like rad", turn=DEG),
+    AxesHypothesis(meaning="the turns of the wheels look like rad", rims=DEG),
     *(
-        Frame(meaning=f"x_m and y_m look like {unit}", place=((UNITS["m"][unit], 0.0), (0.0, UNITS["m"][unit])))
+        AxesHypothesis(meaning=f"errors of positions look like {unit}", errors=UNITS["m"][unit])
+        for unit in ("mm", "cm")
+    ),
+    *(
+        AxesHypothesis(
+            meaning=f"x_m and y_m look like {unit}", place=((UNITS["m"][unit], 0.0), (0.0, UNITS["m"][unit]))
+        )
         for unit in ("dm", "cm", "mm", "km")
     ),
 )
-"""What writers of telemetry do; stated errors may be far too large, and another frame is one that nothing explains."""
+"""What writers of telemetry do, with odds of `LN_ODDS`; stated errors may be far too large, and another frame is one
+that nothing explains."""
 
 
 def as_meant(
@@ -359,7 +365,7 @@ def as_meant(
     return best.read(telemetry)
 
 
-def _ln_of_frame(frame: Frame, telemetry: Telemetry, twist: FloatArray, turns: float) -> float:
+def _ln_of_frame(frame: AxesHypothesis, telemetry: Telemetry, twist: FloatArray, turns: float) -> float:
     """ln of how probable a frame makes positions and headings, up to a constant that all share."""
     rows, times, twist = _spaced(telemetry, twist), telemetry.time_s, frame.rims * twist
     given = np.isfinite(telemetry.yaw_deg)
@@ -480,7 +486,7 @@ SLIDE = Hypothesis(
     "frame from then on",
     done="the motion holds it, and slips are found on either side",
 )
-"""The same of each halt and jump."""
+"""The same of each halt and jump, as wide as in `MOTION`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -19,9 +19,8 @@ from lunarsci.io.tables import check_columns, numbers_of, read_csv_table
 from lunarsci.ranges import refuse
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
-from lunarsci.twin.telemetry.checks import LEAST_ROW_M
 from lunarsci.twin.telemetry.hypotheses import REPORTED
-from lunarsci.twin.telemetry.reading import SURE
+from lunarsci.twin.telemetry.reading import LEAST_ROW_M, SURE
 from lunarsci.twin.telemetry.simulated import deepest_at
 from lunarsci.twin.telemetry.states import MOST_LEFT_OUT, DriveStates, StateRows
 
@@ -31,12 +30,13 @@ SIGMA_M = 0.00033
 GRID = 5
 """Places across a footprint at which two terrains are compared, each way."""
 TIE_M = math.sqrt(2.0) * SIGMA_M
-"""Predicted sinkages that differ by less, the error of two depths, do not say which wheel is the deepest: it is the
-last then. [m]"""
+"""Predicted sinkages that differ by less, the error `SIGMA_M` of two depths, do not say which wheel is the deepest: it
+is the last then. [m]"""
 
 EARLIER = 0.15
 """Share by which a wheel must be predicted deeper than those after it to be the deepest: ground that is loaded again
-sinks further than the prediction, which knows no ruts, says: by up to 0.14 in drives by MuJoCo with such ruts."""
+sinks further than the prediction, which knows no ruts, says: as measured, by up to 0.14 in drives by MuJoCo with such
+ruts."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -65,6 +65,7 @@ from lunarsci.twin.telemetry.nodes import (
 from lunarsci.twin.telemetry.reading import LEAST_ROW_M, OBEYED, SHARED, STILL, SURE, Findings, Positions, Telemetry
 from lunarsci.twin.telemetry.smoother import FAR, SlipProcess, Smoothed, smooth
 from lunarsci.twin.telemetry.wheel_motion import (
+    ON_THE_SPOT,
     WheelMotion,
     body_twist,
     mean_speed,
@@ -141,7 +142,7 @@ def state_rows(
     """States of every wheel at nodes where the rover drives, at most once between two positions, and at halts."""
     speed = np.hypot(nodes.twist[:, 0], nodes.twist[:, 1])
     steps = np.diff(nodes.time_s)
-    drives = (speed > STILL * nodes.way_m / steps) & (speed > STILL * wheels.usual_m_s)
+    drives = (speed > ON_THE_SPOT * nodes.way_m / steps) & (speed > STILL * wheels.usual_m_s)
     distance = np.append(0.0, np.cumsum(np.where(drives, speed * steps, 0.0)))
     gap_nodes = np.add.reduceat(gaps.astype(int), rows[:-1]) > 0
     chosen, halted = _state_nodes(nodes, drives, distance, gap_nodes, findings)
