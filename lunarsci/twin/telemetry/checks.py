@@ -34,8 +34,8 @@ STEERED_DEG = 0.5
 STEERING_DEG = STEERED_DEG * math.sqrt(
     2.0 * (math.log(360.0 / (math.sqrt(2.0 * math.pi) * STEERED_DEG)) - LN_ODDS["reading"])
 )
-"""Difference from which it is more probable, by `STEERED_DEG` and `LN_ODDS`, that one of the two says nothing: it may
-be any angle then. [deg]"""
+"""Difference from which it is more probable, with errors as `STEERED_DEG` and odds as `LN_ODDS`, that one of the two
+says nothing: it may be any angle then. [deg]"""
 FEWEST_RATES = 5
 AGAINST_PLAN = "wheels against plan"
 """Kind of the finding; a soil is found with a plan of its own, so that it does not stay with the states."""

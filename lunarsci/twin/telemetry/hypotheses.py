@@ -335,8 +335,8 @@ FRAMES = (
         for unit in ("dm", "cm", "mm", "km")
     ),
 )
-"""What writers of telemetry do, with odds of `LN_ODDS`; stated errors may be far too large, and another frame is one
-that nothing explains."""
+"""What writers of telemetry do, with odds as `LN_ODDS` has them; stated errors may be far too large, and another frame
+is one that nothing explains."""
 
 
 def as_meant(
@@ -486,7 +486,7 @@ SLIDE = Hypothesis(
     "frame from then on",
     done="the motion holds it, and slips are found on either side",
 )
-"""The same of each halt and jump, as wide as in `MOTION`."""
+"""The same of each halt and jump, as `MOTION` has the localised point."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

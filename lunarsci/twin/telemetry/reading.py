@@ -101,7 +101,7 @@ SIGMA_DEG, RATE_SHARE = 1.0, 0.1
 """Standard errors of turns between rows, of all [deg] and of rates as a share; of commands it is `OBEYED`. Half or
 twice as much moves no slip, as measured; where readings fail they weigh which ones do."""
 TURNED_DEG = 3.0 * SIGMA_DEG
-"""Turn of a wheel up to which it stands: three of `SIGMA_DEG`, 8 mm of way. [deg]"""
+"""Turn of a wheel up to which it stands: three times as `SIGMA_DEG`, 8 mm of way. [deg]"""
 UNDER_WAY = 0.3
 """Share of the highest speed from which a wheel counts as under way. Half or twice as much moves slips by 0.05 of their
 errors at most, as measured."""

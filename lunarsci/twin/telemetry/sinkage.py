@@ -30,8 +30,8 @@ SIGMA_M = 0.00033
 GRID = 5
 """Places across a footprint at which two terrains are compared, each way."""
 TIE_M = math.sqrt(2.0) * SIGMA_M
-"""Predicted sinkages that differ by less, the error `SIGMA_M` of two depths, do not say which wheel is the deepest: it
-is the last then. [m]"""
+"""Predicted sinkages that differ by less than two depths with errors as `SIGMA_M` do not say which wheel is the
+deepest: it is the last then. [m]"""
 
 EARLIER = 0.15
 """Share by which a wheel must be predicted deeper than those after it to be the deepest: ground that is loaded again
