@@ -38,7 +38,6 @@ from lunarsci.regolith.wheel import MAX_VALID_SLIP, Wheel
 if TYPE_CHECKING:
     import pandas as pd
 
-
 LOAD_UNITS = {"kN": FORCES["kn"], "mN": FORCES["mn"]}
 """In newtons, by definition; a kilogram and a pound of force make loads that other wheels of that size have."""
 PULL_OVER_LOAD, PULLING = Law("ln", 0.25, 0.7, "Wong 2008, ISBN 978-0-470-17038-0; width assumed"), 0.2
@@ -54,6 +53,18 @@ written; the middle of what wheel tests try; assumed."""
 ROUND, OFF, SURELY_ROUND = 0.05, 0.02, 1e4
 """Step of the slips that wheel tests are set to, how far off one a round number is at most, in steps, and the odds from
 which they are taken for set ones; assumed."""
+REQUIRED = ("sinkage_m", "normal_force_n", "drawbar_pull_n")
+COLUMNS = ("sinkage_m", "slip_ratio", "side_slip_deg", "normal_force_n", "drawbar_pull_n", "lateral_force_n")
+IDENTIFIERS = (
+    *("id", "member", "wheel", "distance_m", "time_s", "x_m", "y_m", "resistance_torque_nm", "valid", "slip_basis"),
+    *("x_m_sigma", "y_m_sigma", "resistance_torque_nm_sigma", "synthetic", "forces_from", "yaw_deg"),
+    *("rim_m_s", "slip_ratio_shared", "doubt", "rover", "ground"),
+)
+EVERY_COLUMN = (*COLUMNS, *(f"{name}_sigma" for name in COLUMNS), *IDENTIFIERS)
+FROM_MOTION = "motion"
+"""In the column `forces_from`: forces that were computed of a motion with drawn soils, not measured."""
+LEAST_SINKAGE_M = 1e-6
+YES, NO = ("true", "1", "1.0", "yes"), ("false", "0", "0.0", "no")
 
 
 def likely_sinkage_unit(median: float, wheel: Wheel) -> tuple[str, Question | None]:
@@ -150,20 +161,6 @@ def _of_load(middle: float, law: Law, unitless: Collection[str]) -> Question | N
     if asked is None and not named:
         asked = Question("median normal_force_n", middle, law.median, "N", OPTION)
     return asked and replace(asked, option=f"{OPTION} normal_force_n={asked.likely_unit or 'N'}")
-
-
-REQUIRED = ("sinkage_m", "normal_force_n", "drawbar_pull_n")
-COLUMNS = ("sinkage_m", "slip_ratio", "side_slip_deg", "normal_force_n", "drawbar_pull_n", "lateral_force_n")
-IDENTIFIERS = (
-    *("id", "member", "wheel", "distance_m", "time_s", "x_m", "y_m", "resistance_torque_nm", "valid", "slip_basis"),
-    *("x_m_sigma", "y_m_sigma", "resistance_torque_nm_sigma", "synthetic", "forces_from", "yaw_deg"),
-    *("rim_m_s", "slip_ratio_shared", "doubt", "rover", "ground"),
-)
-EVERY_COLUMN = (*COLUMNS, *(f"{name}_sigma" for name in COLUMNS), *IDENTIFIERS)
-FROM_MOTION = "motion"
-"""In the column `forces_from`: forces that were computed of a motion with drawn soils, not measured."""
-LEAST_SINKAGE_M = 1e-6
-YES, NO = ("true", "1", "1.0", "yes"), ("false", "0", "0.0", "no")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

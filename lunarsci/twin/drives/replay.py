@@ -36,6 +36,8 @@ SAMPLE_S = 0.5
 SIDEWAYS = 1e-6
 """Weight of what wheels do not move sideways, against what they roll, where no wheel steers: it counts where these
 leave a velocity open, hardly where skid steering drags wheels aside; assumed."""
+SCORED, END = ("slip_ratio", "side_slip_deg"), "end_m"
+"""Columns of wheel states that are scored, and the name of the ends."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -215,10 +217,6 @@ def wheels_alone(rover: Rover, turns: WheelTurns, start: tuple[float, float, flo
     x = start[0] + np.append(0.0, np.cumsum(np.cos(middle) * ahead - np.sin(middle) * left))
     y = start[1] + np.append(0.0, np.cumsum(np.sin(middle) * ahead + np.cos(middle) * left))
     return np.stack([x, y, heading], axis=-1)
-
-
-SCORED, END = ("slip_ratio", "side_slip_deg"), "end_m"
-"""Columns of wheel states that are scored, and the name of the ends."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -93,6 +93,7 @@ NAMED = dict.fromkeys(("angle_deg", *STEERING), "deg") | {"rate_deg_s": "deg_s",
 ROLLED, FINEST_M = 0.003, 0.001
 """How well positions that were computed from the wheels repeat their way, as a share of it, and to which digit they are
 written; assumed. [-, m]"""
+MIRRORED = ((1.0, 0.0), (0.0, -1.0))
 
 
 def ln_student(off: FloatArray, sigma: FloatArray | float) -> FloatArray:
@@ -286,7 +287,6 @@ class AxesHypothesis:
         )
 
 
-MIRRORED = ((1.0, 0.0), (0.0, -1.0))
 FRAMES = (
     AxesHypothesis(meaning="", ln_odds=0.0),
     AxesHypothesis(meaning="", errors=0.3, ln_odds=LN_ODDS["motion"]),

@@ -61,7 +61,6 @@ PLACES = ("x_m", "y_m", *ERRORS, "sigma_m")
 OF_A_WHEEL = (("angle_{}_deg", "rate_{}_deg_s", "speed_{}_m_s"), ("steered_{}_deg", "steering_{}_deg"))
 """Of each of these every wheel needs one: how it turned, and how it was steered."""
 _ENDS = {"f": "F", "front": "F", "r": "R", "rear": "R", "b": "R", "back": "R"}
-_ENDS |= dict.fromkeys(("m", "mid", "middle", "center", "centre"), "M")
 _SIDES = {"l": "L", "left": "L", "r": "R", "right": "R"}
 _COVARIANCES = {"0": "xx_m2", "1": "xy_m2", "7": "yy_m2", "35": "yaw_variance"}
 _STAMPS = {"time", "__time", "timestamp", "stamp", "rosbagtimestamp"}
@@ -108,6 +107,9 @@ errors at most, as measured."""
 LEAST_ROW_M = 0.3
 """Way between rows of states where positions are denser, and within which standstills are one halt, assumed: a rover's
 slip does not change faster. [m]"""
+
+
+_ENDS |= dict.fromkeys(("m", "mid", "middle", "center", "centre"), "M")
 
 
 def named_columns(names: list[str]) -> dict[str, tuple[str, float]]:

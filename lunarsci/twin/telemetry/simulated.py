@@ -16,7 +16,6 @@ from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, STATE_COLUMNS, Predi
 if TYPE_CHECKING:
     import pandas as pd
 
-
 TRAVEL_SHARE = 0.04 / 3.0
 """Error of visual localisation as a share of the distance: 4 % read as three standard deviations, Ding et al. (2024),
 10.1038/s41467-024-46233-8."""

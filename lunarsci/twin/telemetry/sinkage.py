@@ -32,7 +32,6 @@ GRID = 5
 TIE_M = math.sqrt(2.0) * SIGMA_M
 """Predicted sinkages that differ by less than two depths with errors as `SIGMA_M` do not say which wheel is the
 deepest: it is the last then. [m]"""
-
 EARLIER = 0.15
 """Share by which a wheel must be predicted deeper than those after it to be the deepest: ground that is loaded again
 sinks further than the prediction, which knows no ruts, says: as measured, by up to 0.14 in drives by MuJoCo with such
