@@ -23,7 +23,17 @@ from lunarsci.twin.simulation.contact import VALID_SLIP
 from lunarsci.twin.simulation.prescribed_motion import PrescribedLoads
 from lunarsci.twin.telemetry.hypotheses import LN_ODDS, REPORTED, repeat_chance, repeated
 from lunarsci.twin.telemetry.nodes import Rows
-from lunarsci.twin.telemetry.reading import LEAST_ROW_M, OBEYED, STILL, SURE, UNDER_WAY, Findings, Positions, Telemetry
+from lunarsci.twin.telemetry.reading import (
+    LEAST_ROW_M,
+    OBEYED,
+    STILL,
+    SURE,
+    UNDER_WAY,
+    Findings,
+    Positions,
+    Telemetry,
+    filled,
+)
 from lunarsci.twin.telemetry.wheel_motion import PACE, mean_speed
 
 LEAST_ROWS = 5
@@ -144,7 +154,7 @@ def steering_angles(telemetry: Telemetry, rover: Rover, findings: Findings) -> t
         what = f"rows without a steering angle of wheel {wheel}"
         done = "found from the rows beside; its states are not valid there"
         findings.of_rows("missing steering", what, done, ~rows, telemetry.time_s)
-        angle[:, k] = np.interp(telemetry.time_s, telemetry.time_s[rows], angle[rows, k])
+        angle[:, k] = filled(telemetry.time_s, angle[:, k])
     return angle, given
 
 

@@ -714,6 +714,12 @@ def _flat(file: str, table: "pd.DataFrame") -> "pd.DataFrame":
     return table.set_axis(pd.Index(names), axis=1)
 
 
+def filled(at: FloatArray, values: FloatArray) -> FloatArray:
+    """Values with what is missing found from those beside it; 0 where there are none. (n,), (n,)"""
+    given = np.isfinite(values)
+    return np.interp(at, at[given], values[given]) if given.any() else 0.0 * at
+
+
 def between(values: FloatArray) -> FloatArray:
     """Mean of successive rows, of one where only that one is known. (n - 1, wheels)"""
     before, after = values[:-1], values[1:]
