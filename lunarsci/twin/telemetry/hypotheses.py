@@ -414,7 +414,8 @@ class Hypothesis:
 MOTION = (
     Hypothesis("much slip", (0,), MEAN_SIGMA[0]),
     Hypothesis("constant side slip", (1,), MEAN_SIGMA[1],
-               "the rover glides by {} deg all the way, positive to the left", "kept; a heading that is off throughout looks the same", factor=DEG),
+               "the rover glides by {} deg all the way, positive to the left",
+               "kept; a heading that is off throughout looks the same", factor=DEG),
     Hypothesis("lever arm", (9, 10), 0.3,
                "positions are those of a point {} m ahead and {} m to the left of the rover's origin",
                "the motion is that of the origin; give positions of the origin"),
