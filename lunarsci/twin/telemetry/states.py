@@ -265,12 +265,12 @@ class Lag:
 
 
 def report_hypotheses(smoothed: Smoothed, nodes: Nodes, priors: Priors, lag: Lag, findings: Findings) -> None:
-    """Say each hypothesis that is more probable than not, with what was found; the motion holds it."""
+    """Report each hypothesis that is more probable than not, with its constants; the motion contains it."""
     mean, sigma = smoothed.posterior.mean, np.sqrt(np.diag(smoothed.posterior.covariance))
-
     for one, probable in zip(priors.hypotheses, smoothed.posterior.probable, strict=True):
         late = one.name == "lag"
-        if (lag.probable if late else probable) <= REPORTED or not one.what:
+        probable = lag.probable if late else probable
+        if probable <= REPORTED or not one.what:
             continue
         values: list[object] = [f"{one.factor * mean[k]:.3g} +- {one.factor * sigma[k]:.2g}" for k in one.members]
         doubt, time_s = False, None
@@ -313,7 +313,7 @@ def left_out_of(smoothed: Smoothed, nodes: Nodes) -> FloatArray:
 
 
 def report_outliers(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
-    """Say positions and headings that hardly count, and errors that nobody can believe."""
+    """Report positions and headings that hardly count, and errors that nobody can believe."""
     given = np.isfinite(nodes.yaw_rad)
     odd = given & (smoothed.yaw_weight < HARDLY)
     many = bool(odd.sum() > MOST_LEFT_OUT * given.sum())
