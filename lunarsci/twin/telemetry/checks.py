@@ -1,6 +1,8 @@
-"""Clock, steering and pace of telemetry: rows in their order, each time once, gaps between.
+"""Telemetry before its motion is found: rows in their order, gaps, steering, positions and headings of use, the plan.
 
-How the wheels were steered is as measured, else as commanded, where the two agree.
+Each time is there once. How the wheels were steered is as measured, else as commanded, where the two agree. A position
+or heading is of use where its error is known and it does not only repeat the one before. Roll and pitch are set beside
+those of a rover on the terrain.
 
 Telemetry and the plan that should have been driven are compared by the way of the rims, which neither a clock nor a
 halt moves. Where the commands are alike there, what the times differ by is the clock's offset, and its jumps are halts.
