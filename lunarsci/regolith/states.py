@@ -38,7 +38,6 @@ from lunarsci.regolith.wheel import MAX_VALID_SLIP, Wheel
 if TYPE_CHECKING:
     import pandas as pd
 
-
 LOAD_UNITS = {"kN": FORCES["kn"], "mN": FORCES["mn"]}
 """In newtons, by definition; a kilogram and a pound of force make loads that other wheels of that size have."""
 PULL_OVER_LOAD, PULLING = Law("ln", 0.25, 0.7, "Wong 2008, ISBN 978-0-470-17038-0; width assumed"), 0.2
@@ -54,6 +53,18 @@ written; the middle of what wheel tests try; assumed."""
 ROUND, OFF, SURELY_ROUND = 0.05, 0.02, 1e4
 """Step of the slips that wheel tests are set to, how far off one a round number is at most, in steps, and the odds from
 which they are taken for set ones; assumed."""
+REQUIRED = ("sinkage_m", "normal_force_n", "drawbar_pull_n")
+COLUMNS = ("sinkage_m", "slip_ratio", "side_slip_deg", "normal_force_n", "drawbar_pull_n", "lateral_force_n")
+IDENTIFIERS = (
+    *("id", "member", "wheel", "distance_m", "time_s", "x_m", "y_m", "resistance_torque_nm", "valid", "slip_basis"),
+    *("x_m_sigma", "y_m_sigma", "resistance_torque_nm_sigma", "synthetic", "forces_from", "yaw_deg"),
+    *("rim_m_s", "slip_ratio_shared", "doubt", "rover", "ground"),
+)
+EVERY_COLUMN = (*COLUMNS, *(f"{name}_sigma" for name in COLUMNS), *IDENTIFIERS)
+FROM_MOTION = "motion"
+"""In the column `forces_from`: forces that were computed of a motion with drawn soils, not measured."""
+LEAST_SINKAGE_M = 1e-6
+YES, NO = ("true", "1", "1.0", "yes"), ("false", "0", "0.0", "no")
 
 
 def likely_sinkage_unit(median: float, wheel: Wheel) -> tuple[str, Question | None]:
@@ -102,12 +113,12 @@ def force_questions(
         return ()
     middle = float(np.median(carried))
     law = replace(LOAD_PRESSURE_PA, median=LOAD_PRESSURE_PA.median * wheel.radius_m * wheel.width_m)
-    asked = None if "normal_force_n" in answered else _of_load(middle, law, unitless)
+    query = None if "normal_force_n" in answered else _of_load(middle, law, unitless)
     pulls = None if "drawbar_pull_n" in answered else _of_pull(slip, pull, middle)
-    if asked and pulls is None and asked.likely_unit not in ("", "N") and "drawbar_pull_n" not in answered:
+    if query and pulls is None and query.likely_unit not in ("", "N") and "drawbar_pull_n" not in answered:
         # The balance holds as it is written, so that both are in the same unit.
-        asked = replace(asked, option=f"{asked.option},drawbar_pull_n={asked.likely_unit}")
-    return tuple(one for one in (asked, pulls) if one is not None)
+        query = replace(query, option=f"{query.option},drawbar_pull_n={query.likely_unit}")
+    return tuple(one for one in (query, pulls) if one is not None)
 
 
 def questions_by_name(values: FloatArray, wheel: Wheel, unitless: Collection[str] = ()) -> tuple[Question, ...]:
@@ -133,37 +144,23 @@ def _of_pull(slip: FloatArray, pull: FloatArray, load: float) -> Question | None
     if np.nanmax(np.abs(slip), initial=0.0) < PULLING:
         return None
     of_load = {f"{unit} (the load)": 1.0 / FORCES[unit.lower()] for unit in ("kN", "kgf", "lbf")}
-    asked = question(
+    query = question(
         "largest drawbar_pull_n over the load", most / load, PULL_OVER_LOAD, LOAD_UNITS | {share: load} | of_load
     )
-    if asked is None:
+    if query is None:
         return None
-    unit = OVER_LOAD if asked.likely_unit == share else asked.likely_unit.partition(" ")[0] or "N"
-    column = "normal_force_n" if asked.likely_unit in of_load else "drawbar_pull_n"
-    return replace(asked, option=f"{OPTION} {column}={unit}")
+    unit = OVER_LOAD if query.likely_unit == share else query.likely_unit.partition(" ")[0] or "N"
+    column = "normal_force_n" if query.likely_unit in of_load else "drawbar_pull_n"
+    return replace(query, option=f"{OPTION} {column}={unit}")
 
 
 def _of_load(middle: float, law: Law, unitless: Collection[str]) -> Question | None:
     named = "normal_force_n" not in unitless
     units = LOAD_UNITS | ({} if named else {"kgf": FORCES["kgf"], "lbf": FORCES["lbf"]})
-    asked = question("median normal_force_n", middle, law, units)
-    if asked is None and not named:
-        asked = Question("median normal_force_n", middle, law.median, "N", OPTION)
-    return asked and replace(asked, option=f"{OPTION} normal_force_n={asked.likely_unit or 'N'}")
-
-
-REQUIRED = ("sinkage_m", "normal_force_n", "drawbar_pull_n")
-COLUMNS = ("sinkage_m", "slip_ratio", "side_slip_deg", "normal_force_n", "drawbar_pull_n", "lateral_force_n")
-IDENTIFIERS = (
-    *("id", "member", "wheel", "distance_m", "time_s", "x_m", "y_m", "resistance_torque_nm", "valid", "slip_basis"),
-    *("x_m_sigma", "y_m_sigma", "resistance_torque_nm_sigma", "synthetic", "forces_from", "yaw_deg"),
-    *("rim_m_s", "slip_ratio_shared", "doubt", "rover", "ground"),
-)
-EVERY_COLUMN = (*COLUMNS, *(f"{name}_sigma" for name in COLUMNS), *IDENTIFIERS)
-FROM_MOTION = "motion"
-"""In the column `forces_from`: forces that were computed of a motion with drawn soils, not measured."""
-LEAST_SINKAGE_M = 1e-6
-YES, NO = ("true", "1", "1.0", "yes"), ("false", "0", "0.0", "no")
+    query = question("median normal_force_n", middle, law, units)
+    if query is None and not named:
+        query = Question("median normal_force_n", middle, law.median, "N", OPTION)
+    return query and replace(query, option=f"{OPTION} normal_force_n={query.likely_unit or 'N'}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -333,9 +330,9 @@ def _named(source: InputFile, wheel: Wheel, units: str) -> NamedColumns:
     if "sinkage_m" not in named.unitless:
         return named
     written = _numbers(source.name, named.table, "sinkage_m")
-    unit, asked = likely_sinkage_unit(float(np.median(written[np.isfinite(written)])), wheel)
+    unit, query = likely_sinkage_unit(float(np.median(written[np.isfinite(written)])), wheel)
     again = named_columns(source.name, table, EVERY_COLUMN, ",".join(filter(None, (units, f"sinkage_m={unit}"))))
-    return replace(again, questions=() if asked is None else (asked,))
+    return replace(again, questions=() if query is None else (query,))
 
 
 def _numbers(file: str, table: "pd.DataFrame", name: str) -> FloatArray:
@@ -404,8 +401,8 @@ def read_states(
     import pandas as pd
 
     read = read_state_table(source, wheel, needed=REQUIRED, errors=errors, every=True, units=units)
-    read, asked_of_slip = _with_slip(read)
-    read, asked = _with_sinkage(read, wheel)
+    read, slip_queries = _with_slip(read)
+    read, query = _with_sinkage(read, wheel)
     frame, named, rows = read.table, read.named, _complete_rows(read)
     if read.unused:
         # An error under another name than NAME_sigma would go unread.
@@ -433,7 +430,7 @@ def read_states(
         unstated=tuple(name for name in COLUMNS if stated and f"{name}_sigma" not in frame),
         read_as=named.read_as,
         questions=(
-            *(*asked_of_slip, *asked, *named.questions),
+            *(*slip_queries, *query, *named.questions),
             *force_questions(values, wheel, named.unitless, named.answered),
         ),
     )
@@ -452,8 +449,8 @@ def _with_sinkage(read: StateTable, wheel: Wheel) -> tuple[StateTable, tuple[Que
     values[:, 0] *= LENGTHS[unit]
     sigmas[:, 0] *= LENGTHS[unit] if "sinkage_m_sigma" in read.table else 1.0
     usual = SINKAGE.median * wheel.radius_m
-    asked = Question("median sinkage_m", middle, usual, unit, f"{OPTION} sinkage_m={unit}")
-    return replace(read, values=values, sigmas=sigmas), (asked,)
+    query = Question("median sinkage_m", middle, usual, unit, f"{OPTION} sinkage_m={unit}")
+    return replace(read, values=values, sigmas=sigmas), (query,)
 
 
 def _with_slip(read: StateTable) -> tuple[StateTable, tuple[Question, ...]]:
@@ -465,8 +462,8 @@ def _with_slip(read: StateTable) -> tuple[StateTable, tuple[Question, ...]]:
     values[:, 1] = by_travel(slip) if unit == TRAVEL else by_rim(slip) if unit == "rim" else SHARES[unit] * slip
     worst = float(slip[read.valid][np.nanargmax(np.abs(slip[read.valid]))])
     meaning = {"%": "%", TRAVEL: "r w / v - 1", "rim": "1 - v / (r w), in skid too"}[unit]
-    asked = Question("slip_ratio", worst, USUAL_SLIP, meaning, f"{OPTION} slip_ratio={unit}")
-    return replace(read, values=values), (asked,)
+    query = Question("slip_ratio", worst, USUAL_SLIP, meaning, f"{OPTION} slip_ratio={unit}")
+    return replace(read, values=values), (query,)
 
 
 def _complete_rows(read: StateTable) -> BoolArray:

@@ -26,7 +26,7 @@ from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.discrepancy import with_discrepancy
 from lunarsci.twin.simulation.ensemble import Prediction, for_people
 from lunarsci.twin.simulation.members import SLOW, DriveSetup, drive_all, drive_finer
-from lunarsci.twin.telemetry.reading import Telemetry
+from lunarsci.twin.telemetry.reading import Telemetry, filled
 from lunarsci.twin.telemetry.wheel_motion import fitted_twist, wheel_rows
 
 STEP_S, STEP_M = 0.1, 0.01
@@ -36,6 +36,8 @@ SAMPLE_S = 0.5
 SIDEWAYS = 1e-6
 """Weight of what wheels do not move sideways, against what they roll, where no wheel steers: it counts where these
 leave a velocity open, hardly where skid steering drags wheels aside; assumed."""
+SCORED, END = ("slip_ratio", "side_slip_deg"), "end_m"
+"""Columns of wheel states that are scored, and the name of the ends."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +60,7 @@ class WheelTurns:
         """Those of telemetry from a time on: measured angles, else rates, else commanded speeds."""
         time = telemetry.time_s - begin_s
         columns = [_rolled_m(telemetry, rover, k) for k in range(len(rover.wheels))]
-        steered = [_filled(time, np.radians(column)) for column in telemetry.turned_deg.T]
+        steered = [filled(time, np.radians(column)) for column in telemetry.turned_deg.T]
         whole = cls(time, np.column_stack(columns), np.column_stack(steered))
         times = np.append(0.0, time[time > 0.0])
         return cls(times, whole._at(times, whole.rolled_m), whole._at(times, whole.steered_rad))
@@ -73,12 +75,6 @@ class WheelTurns:
         return np.column_stack([np.interp(times_s, self.time_s, column) for column in values.T])
 
 
-def _filled(time_s: FloatArray, values: FloatArray) -> FloatArray:
-    """With what is missing between values; 0 where there are none."""
-    counted = np.isfinite(values)
-    return np.interp(time_s, time_s[counted], values[counted]) if counted.any() else 0.0 * time_s
-
-
 def _rolled_m(telemetry: Telemetry, rover: Rover, wheel: int) -> FloatArray:
     """Way of a rim since the first row. (n,) [m]"""
     time, radius = telemetry.time_s, rover.wheel.shearing_radius_m
@@ -87,9 +83,9 @@ def _rolled_m(telemetry: Telemetry, rover: Rover, wheel: int) -> FloatArray:
         # Angles that begin anew after each turn stay within one.
         anew = np.ptp(angle[counted]) <= 2.0 * math.pi
         angle[counted] = np.unwrap(angle[counted]) if anew else angle[counted]
-        return np.asarray(radius * _filled(time, angle))
+        return np.asarray(radius * filled(time, angle))
     speed = radius * rate if np.isfinite(rate).any() else telemetry.speed_m_s[:, wheel]
-    speed = _filled(time, speed)
+    speed = filled(time, speed)
     return np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time)))
 
 
@@ -215,10 +211,6 @@ def wheels_alone(rover: Rover, turns: WheelTurns, start: tuple[float, float, flo
     x = start[0] + np.append(0.0, np.cumsum(np.cos(middle) * ahead - np.sin(middle) * left))
     y = start[1] + np.append(0.0, np.cumsum(np.sin(middle) * ahead + np.cos(middle) * left))
     return np.stack([x, y, heading], axis=-1)
-
-
-SCORED, END = ("slip_ratio", "side_slip_deg"), "end_m"
-"""Columns of wheel states that are scored, and the name of the ends."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

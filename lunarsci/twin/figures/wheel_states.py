@@ -17,10 +17,8 @@ from lunarsci.twin.telemetry.states import DriveStates
 
 STATE_PANELS = ("slip_ratio", "side_slip_deg", "sinkage_m")
 MARGIN_M = 1.6
-WORDS = 60
-"""Letters of a finding that are drawn."""
-# Left and right wheel, told apart by the colour-blind (Okabe & Ito 2008).
 LEFT, RIGHT = BLUE, VERMILION
+"""Colours of left and right wheels that the colour-blind distinguish (Okabe & Ito 2008)."""
 FORCES = ("normal_force_n", "drawbar_pull_n", "lateral_force_n")
 MISSING = ("missing ahead [N]", "missing to the left [N]", "missing moment [N m]")
 FORCE_PANELS = (*FORCES, "resistance_torque_nm", "slip_ratio", "side_slip_deg")
@@ -101,6 +99,7 @@ def _draw_states(panel: Axes, drive: DriveStates, name: str) -> None:
     for number, (begin, end) in enumerate(way):
         panel.axvspan(begin, end, color=GOLD, alpha=0.35, linewidth=0, label="gap" if number == 0 else None)
     _frame(panel, text)
+    _zero(panel)
     if not np.isfinite(values).any():
         panel.text(0.5, 0.5, "no depth of the track was given", transform=panel.transAxes, ha="center", color=INK)
 
@@ -135,7 +134,7 @@ def force_band_figure(loads: LoadEnsemble, title: str, *, synthetic: bool = Fals
         for axle, panel in enumerate(row):
             for side, color in enumerate((LEFT, RIGHT)):
                 _draw_band(panel, along, loads, 2 * axle + side, force, color)
-            _band_frame(panel, LABELS[FORCES[force]][0] if axle == 0 else "", along)
+            _frame(panel, LABELS[FORCES[force]][0] if axle == 0 else "", along)
     for axle, panel in enumerate(panels[0]):
         panel.set_title(" and ".join(as_label(wheel) for wheel in wheels[2 * axle : 2 * axle + 2]))
     for panel in panels[-1]:
@@ -167,14 +166,15 @@ def _draw_missing(panels: Any, along: FloatArray, loads: LoadEnsemble) -> None:
         panel.fill_between(along, before - sigma, before + sigma, color=INK, alpha=0.15, linewidth=0)
         panel.plot(along, before, color=INK, linewidth=1.0, linestyle=":", label="before the balance, ±σ")
         panel.plot(along, loads.residual_after[:, k], color=INK, linewidth=1.4, label="after")
-        _band_frame(panel, MISSING[k], along)
+        _frame(panel, MISSING[k], along)
         _zero(panel)
         panel.set_xlabel("distance rolled [m]")
 
 
-def _band_frame(panel: Any, text: str, along: FloatArray) -> None:
+def _frame(panel: Any, text: str, along: FloatArray | None = None) -> None:
     panel.set_ylabel(text)
-    panel.set_xlim(float(along[0]), float(along[-1]))
+    if along is not None:
+        panel.set_xlim(float(along[0]), float(along[-1]))
     panel.grid()
 
 
@@ -211,18 +211,14 @@ def force_figure(
         for k, wheel in enumerate(wheels):
             panel.plot(along, middle[:, k, STATE_COLUMNS.index(name)], label=as_label(wheel), **wheel_line(k))
         _frame(panel, LABELS[name][0])
+        _zero(panel)
     if residual_n is not None:
         for panel, values, text in zip(rows[3], residual_n.T, ("ahead", "to the left"), strict=True):
             panel.plot(along, values, color=INK)
             _frame(panel, f"missing force\n{text} [N]")
+            _zero(panel)
     for panel in rows[-1]:
         panel.set_xlabel(label)
     legend_below(figure, rows[0, 0], 6)
     headline(figure, title, synthetic=synthetic)
     return figure
-
-
-def _frame(panel: Any, text: str) -> None:
-    panel.set_ylabel(text)
-    panel.grid()
-    _zero(panel)

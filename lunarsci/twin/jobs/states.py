@@ -123,32 +123,34 @@ def states(
     A folder or table of a public data set (`lunarsci.twin.drives.layouts`) has its own rover, gravity and, where no
     terrain is given, a plane by its heights and attitude. Raises DataError for telemetry that cannot be used.
     """
-    asked = request_of(StatesRequest, request, options)
+    settings = request_of(StatesRequest, request, options)
     public, below = read_public_drive(telemetry), None
     if public is not None:
-        asked = replace(asked, rover=asked.rover or public.rover, gravity=asked.gravity or public.gravity)
-        below = None if asked.terrain else public.plane()
-    inputs = read_drive_inputs(plan, *asked.ground, soil_counts=False, below=below)
+        settings = replace(settings, rover=settings.rover or public.rover, gravity=settings.gravity or public.gravity)
+        below = None if settings.terrain else public.plane()
+    inputs = read_drive_inputs(plan, *settings.ground, soil_counts=False, below=below)
     inputs.check.read_as = (*(public.read_as if public else ()), *inputs.check.read_as)
     with open_input(telemetry if public is None else public.telemetry) as source:
         findings = Findings(source.name)
-        placed = asked.positions is None
+        placed = settings.positions is None
         sent = read_telemetry(
-            source, inputs.rover, findings, placed=placed, span_s=asked.span_s, start_s=asked.start_time
+            source, inputs.rover, findings, placed=placed, span_s=settings.span_s, start_s=settings.start_time
         )
     inputs.inputs.update({source.name: source.sha256} if public is None else public.inputs)
-    if asked.positions is not None:
-        fixes = read_input(asked.positions)
+    if settings.positions is not None:
+        fixes = read_input(settings.positions)
         inputs.inputs[fixes.name] = fixes.sha256
         located = read_positions(fixes)
         located = located._replace(time_s=located.time_s - sent.start_s)
         sent = with_positions(sent, located, fixes.name, findings)
     drive = states_of(
-        sent, inputs.rover, inputs.terrain, findings, inputs.plan if plan is not None else None, asked.lag
+        sent, inputs.rover, inputs.terrain, findings, inputs.plan if plan is not None else None, settings.lag
     )
-    if asked.track is not None:
-        drive = with_sinkage(drive, _read_track(inputs, asked.track), inputs.terrain)
-    return MeasuredStates(inputs=inputs, name=source.name, planned=plan is not None, drive=drive, put_back_s=asked.lag)
+    if settings.track is not None:
+        drive = with_sinkage(drive, _read_track(inputs, settings.track), inputs.terrain)
+    return MeasuredStates(
+        inputs=inputs, name=source.name, planned=plan is not None, drive=drive, put_back_s=settings.lag
+    )
 
 
 def _read_track(inputs: DriveInputs, track: Any) -> RutPoints | Terrain:

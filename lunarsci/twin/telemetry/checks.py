@@ -1,6 +1,8 @@
-"""Clock, steering and pace of telemetry: rows in their order, each time once, gaps between.
+"""Telemetry before its motion is found: rows in their order, gaps, steering, positions and headings of use, the plan.
 
-How the wheels were steered is as measured, else as commanded, where the two agree.
+Each time is there once. How the wheels were steered is as measured, else as commanded, where the two agree. A position
+or heading is of use where its error is known and it does not only repeat the one before. Roll and pitch are set beside
+those of a rover on the terrain.
 
 Telemetry and the plan that should have been driven are compared by the way of the rims, which neither a clock nor a
 halt moves. Where the commands are alike there, what the times differ by is the clock's offset, and its jumps are halts.
@@ -23,7 +25,17 @@ from lunarsci.twin.simulation.contact import VALID_SLIP
 from lunarsci.twin.simulation.prescribed_motion import PrescribedLoads
 from lunarsci.twin.telemetry.hypotheses import LN_ODDS, REPORTED, repeat_chance, repeated
 from lunarsci.twin.telemetry.nodes import Rows
-from lunarsci.twin.telemetry.reading import LEAST_ROW_M, OBEYED, STILL, SURE, UNDER_WAY, Findings, Positions, Telemetry
+from lunarsci.twin.telemetry.reading import (
+    LEAST_ROW_M,
+    OBEYED,
+    STILL,
+    SURE,
+    UNDER_WAY,
+    Findings,
+    Positions,
+    Telemetry,
+    filled,
+)
 from lunarsci.twin.telemetry.wheel_motion import PACE, mean_speed
 
 LEAST_ROWS = 5
@@ -34,7 +46,8 @@ STEERED_DEG = 0.5
 STEERING_DEG = STEERED_DEG * math.sqrt(
     2.0 * (math.log(360.0 / (math.sqrt(2.0 * math.pi) * STEERED_DEG)) - LN_ODDS["reading"])
 )
-"""Difference from which it is more probable that one of the two says nothing: it may be any angle then. [deg]"""
+"""Difference from which it is more probable, with errors as `STEERED_DEG` and odds as `LN_ODDS`, that one of the two
+says nothing: it may be any angle then. [deg]"""
 FEWEST_RATES = 5
 AGAINST_PLAN = "wheels against plan"
 """Kind of the finding; a soil is found with a plan of its own, so that it does not stay with the states."""
@@ -143,7 +156,7 @@ def steering_angles(telemetry: Telemetry, rover: Rover, findings: Findings) -> t
         what = f"rows without a steering angle of wheel {wheel}"
         done = "found from the rows beside; its states are not valid there"
         findings.of_rows("missing steering", what, done, ~rows, telemetry.time_s)
-        angle[:, k] = np.interp(telemetry.time_s, telemetry.time_s[rows], angle[rows, k])
+        angle[:, k] = filled(telemetry.time_s, angle[:, k])
     return angle, given
 
 
@@ -616,7 +629,7 @@ def usable_positions(telemetry: Telemetry, way_m: FloatArray, findings: Findings
     `way_m` is the way of the rims until each row. (n,) Raises DataError where fewer than two are left.
     """
     given, value = telemetry.fixed, telemetry.fix_covariance_m2
-    complete = np.asarray(np.isfinite(value).all(axis=(1, 2)))
+    complete: BoolArray = np.asarray(np.isfinite(value).all(axis=(1, 2)))
     least = np.linalg.eigvalsh(np.where(complete[:, None, None], value, -np.eye(2)))[:, 0]
     sigma = np.where(least > 0, np.sqrt(np.abs(np.trace(value, axis1=1, axis2=2)) / 2.0), np.nan)
     bad = "bad covariance", "errors that are missing, 0, negative, or no covariance"

@@ -56,6 +56,8 @@ LINEAR_S = 0.5
 much moves no slip, as measured. [s]"""
 MOST_PARTS = 8
 """Of a halt with positions, in which the rover may slide each; more are taken together."""
+STRETCH = 256
+"""Steps whose matrices are held at a time: those of all steps of a long drive would fill the memory."""
 
 
 class ErrorChain(NamedTuple):
@@ -231,10 +233,6 @@ class ReferenceMotion:
         """Dead reckoning without any error."""
         one = np.ones(len(nodes.time_s))
         return cls(state=dead_reckoned(nodes), constants=np.zeros(nodes.constants), fix_weight=one, yaw_weight=one)
-
-
-STRETCH = 256
-"""Steps whose matrices are held at a time: those of all steps of a long drive would fill the memory."""
 
 
 class Linear(NamedTuple):

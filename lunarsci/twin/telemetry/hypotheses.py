@@ -93,6 +93,7 @@ NAMED = dict.fromkeys(("angle_deg", *STEERING), "deg") | {"rate_deg_s": "deg_s",
 ROLLED, FINEST_M = 0.003, 0.001
 """How well positions that were computed from the wheels repeat their way, as a share of it, and to which digit they are
 written; assumed. [-, m]"""
+MIRRORED = ((1.0, 0.0), (0.0, -1.0))
 
 
 def ln_student(off: FloatArray, sigma: FloatArray | float) -> FloatArray:
@@ -236,8 +237,8 @@ def _ln_of_units(tried: dict[str, Unit], ratios: dict[tuple[str, str], float], f
     return ln
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Frame:
+@dataclass(frozen=True, slots=True)
+class AxesHypothesis:
     """A way to read positions, headings and steering.
 
     Attributes
@@ -286,51 +287,32 @@ class Frame:
         )
 
 
-MIRRORED = ((1.0, 0.0), (0.0, -1.0))
 FRAMES = (
-    Frame(meaning="", ln_odds=0.0),
-    Frame(meaning="", errors=0.3, ln_odds=LN_ODDS["motion"]),
-    Frame(
-        meaning="x_m and y_m are computed from the wheels",
-        way_sigma=ROLLED,
-        least_m=FINEST_M,
-        doubt=(
-            "positions are odometry",
-            "x_m and y_m repeat the way of the wheels: no slip can be learned from them",
-            "kept; give positions by pictures, lidar or radio",
-        ),
-    ),
-    Frame(
-        meaning="another frame",
-        way_sigma=2.0,
-        turn=0.0,
-        ln_odds=LN_ODDS["anything"],
-        doubt=(
-            "heading against motion",
-            "positions, headings and wheels tell of different motions, in any frame and unit",
-            "kept as they are",
-        ),
-    ),
-    Frame(meaning="x_m and y_m are exchanged", place=((0.0, 1.0), (1.0, 0.0))),
-    Frame(meaning="y_m points to the right of x_m", place=MIRRORED),
-    Frame(meaning="yaw_deg grows to the right, as in a frame with z down", yaw=(-1.0, 0.0)),
-    Frame(meaning="yaw_deg is measured from y (north) clockwise", yaw=(-1.0, 90.0)),
-    Frame(meaning="yaw_deg is measured from y", yaw=(1.0, 90.0)),
-    Frame(meaning="yaw_deg points backwards", yaw=(1.0, 180.0)),
-    Frame(meaning="yaw_deg looks like rad", yaw=(DEG, 0.0)),
-    Frame(
-        meaning="x, y and yaw_deg are those of a frame with z down (x north, y east)", yaw=(-1.0, 0.0), place=MIRRORED
-    ),
-    Frame(meaning="steering is positive to the right", turn=-1.0),
-    Frame(meaning="the steering angles look like rad", turn=DEG),
-    Frame(meaning="the turns of the wheels look like rad", rims=DEG),
-    *(Frame(meaning=f"errors of positions look like {unit}", errors=UNITS["m"][unit]) for unit in ("mm", "cm")),
-    *(
-        Frame(meaning=f"x_m and y_m look like {unit}", place=((UNITS["m"][unit], 0.0), (0.0, UNITS["m"][unit])))
-        for unit in ("dm", "cm", "mm", "km")
-    ),
-)
-"""What writers of telemetry do; stated errors may be far too large, and another frame is one that nothing explains."""
+    AxesHypothesis("", ln_odds=0.0),
+    AxesHypothesis("", errors=0.3, ln_odds=LN_ODDS["motion"]),
+    AxesHypothesis("x_m and y_m are computed from the wheels", way_sigma=ROLLED, least_m=FINEST_M, doubt=(
+        "positions are odometry", "x_m and y_m repeat the way of the wheels: no slip can be learned from them",
+        "kept; give positions by pictures, lidar or radio")),
+    AxesHypothesis("another frame", way_sigma=2.0, turn=0.0, ln_odds=LN_ODDS["anything"], doubt=(
+        "heading against motion", "positions, headings and wheels tell of different motions, in any frame and unit",
+        "kept as they are")),
+    AxesHypothesis("x_m and y_m are exchanged", place=((0.0, 1.0), (1.0, 0.0))),
+    AxesHypothesis("y_m points to the right of x_m", place=MIRRORED),
+    AxesHypothesis("yaw_deg grows to the right, as in a frame with z down", yaw=(-1.0, 0.0)),
+    AxesHypothesis("yaw_deg is measured from y (north) clockwise", yaw=(-1.0, 90.0)),
+    AxesHypothesis("yaw_deg is measured from y", yaw=(1.0, 90.0)),
+    AxesHypothesis("yaw_deg points backwards", yaw=(1.0, 180.0)),
+    AxesHypothesis("yaw_deg looks like rad", yaw=(DEG, 0.0)),
+    AxesHypothesis("x, y and yaw_deg are those of a frame with z down (x north, y east)", (-1.0, 0.0), MIRRORED),
+    AxesHypothesis("steering is positive to the right", turn=-1.0),
+    AxesHypothesis("the steering angles look like rad", turn=DEG),
+    AxesHypothesis("the turns of the wheels look like rad", rims=DEG),
+    *(AxesHypothesis(f"errors of positions look like {unit}", errors=UNITS["m"][unit]) for unit in ("mm", "cm")),
+    *(AxesHypothesis(f"x_m and y_m look like {unit}", place=((size, 0.0), (0.0, size)))
+      for unit, size in UNITS["m"].items()),
+)  # fmt: skip
+"""What writers of telemetry do, with odds as `LN_ODDS` has them; stated errors may be far too large, and another frame
+is one that nothing explains."""
 
 
 def as_meant(
@@ -359,7 +341,7 @@ def as_meant(
     return best.read(telemetry)
 
 
-def _ln_of_frame(frame: Frame, telemetry: Telemetry, twist: FloatArray, turns: float) -> float:
+def _ln_of_frame(frame: AxesHypothesis, telemetry: Telemetry, twist: FloatArray, turns: float) -> float:
     """ln of how probable a frame makes positions and headings, up to a constant that all share."""
     rows, times, twist = _spaced(telemetry, twist), telemetry.time_s, frame.rims * twist
     given = np.isfinite(telemetry.yaw_deg)
@@ -403,7 +385,7 @@ def _spaced(telemetry: Telemetry, twist: FloatArray) -> IndexArray:
     return some if len(some) > FEWEST_ROWS else rows
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Hypothesis:
     """Constants that may be far from 0.
 
@@ -412,75 +394,46 @@ class Hypothesis:
     name : a word for it.
     members : which constants.
     sigma, mean : their prior if it holds.
+    what, done : what is reported where it holds, with the values of the constants, and what is done; nothing if empty.
+    factor : of these values.
     ln_odds : beforehand.
     slide : which of `Nodes.slides` it concerns, -1 for none.
-    what, done : what is reported where it holds, with the values of the constants; nothing if empty.
-    factor : of these values.
     """
 
     name: str
     members: tuple[int, ...]
     sigma: float
-    mean: float = 0.0
-    ln_odds: float = LN_ODDS["motion"]
-    slide: int = -1
     what: str = ""
     done: str = ""
     factor: float = 1.0
+    mean: float = 0.0
+    ln_odds: float = LN_ODDS["motion"]
+    slide: int = -1
 
 
 MOTION = (
-    Hypothesis(name="much slip", members=(0,), sigma=MEAN_SIGMA[0]),
-    Hypothesis(
-        name="constant side slip",
-        members=(1,),
-        sigma=MEAN_SIGMA[1],
-        what="the rover glides by {} deg all the way, positive to the left",
-        done="kept; a heading that is off throughout looks the same",
-        factor=DEG,
-    ),
-    Hypothesis(
-        name="lever arm",
-        members=(9, 10),
-        sigma=0.3,
-        what="positions are those of a point {} m ahead and {} m to the left of the rover's origin",
-        done="the motion is that of the origin; give positions of the origin",
-    ),
-    Hypothesis(
-        name="heading drift",
-        members=(DRIFT,),
-        sigma=math.radians(5.0),
-        what="headings drift by {} deg until the end",
-        done="the motion is without the drift",
-        factor=DEG,
-    ),
-    Hypothesis(
-        name="lag",
-        members=(LAG,),
-        sigma=3.0,
-        what="the rover moves {} than its wheels say",
-        done="positions and headings are put back, as --lag {} does",
-    ),
-    Hypothesis(
-        name="encoder scale",
-        members=(SCALE,),
-        sigma=RIM_SIGMA,
-        ln_odds=LN_ODDS["encoders"],
-        what="the rims turn {} times as far as their encoders say",
-        done="slip is of the rims",
-    ),
-)
+    Hypothesis("much slip", (0,), MEAN_SIGMA[0]),
+    Hypothesis("constant side slip", (1,), MEAN_SIGMA[1],
+               "the rover glides by {} deg all the way, positive to the left",
+               "kept; a heading that is off throughout looks the same", factor=DEG),
+    Hypothesis("lever arm", (9, 10), 0.3,
+               "positions are those of a point {} m ahead and {} m to the left of the rover's origin",
+               "the motion is that of the origin; give positions of the origin"),
+    Hypothesis("heading drift", (DRIFT,), math.radians(5.0), "headings drift by {} deg until the end",
+               "the motion is without the drift", factor=DEG),
+    Hypothesis("lag", (LAG,), 3.0, "the rover moves {} than its wheels say",
+               "positions and headings are put back, as --lag {} does"),
+    Hypothesis("encoder scale", (SCALE,), RIM_SIGMA, "the rims turn {} times as far as their encoders say",
+               "slip is of the rims", ln_odds=LN_ODDS["encoders"]),
+)  # fmt: skip
 """What may be off throughout a drive, and how far where it is: half a metre of the localised point, some degrees of
 drift, seconds of lag; assumed."""
 SLIDE = Hypothesis(
-    name="slide at a halt",
-    members=(SLIDES, SLIDES + 1),
-    sigma=0.3,
-    what="the rover moves {} m ahead and {} m to the left between {:.6g} and {:.6g} s {}, or positions are of another "
-    "frame from then on",
-    done="the motion holds it, and slips are found on either side",
-)
-"""The same of each halt and jump."""
+    "slide at a halt", (SLIDES, SLIDES + 1), 0.3, "the rover moves {} m ahead and {} m to the left between {:.6g} and "
+    "{:.6g} s {}, or positions are of another frame from then on",
+    "the motion holds it, and slips are found on either side",
+)  # fmt: skip
+"""The same of each halt and jump, as `MOTION` has the localised point."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

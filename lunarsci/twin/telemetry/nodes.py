@@ -18,6 +18,7 @@ from lunarsci.twin.telemetry.hypotheses import Priors
 from lunarsci.twin.telemetry.reading import OBEYED, STILL, Telemetry
 from lunarsci.twin.telemetry.smoother import Smoothed, prior_process, probable
 from lunarsci.twin.telemetry.wheel_motion import (
+    ON_THE_SPOT,
     WheelMotion,
     ground_velocities,
     mean_speed,
@@ -124,7 +125,9 @@ def overlapping(rows: Rows, lag_s: float) -> Rows:
 def _drives(wheels: WheelMotion, twist: FloatArray) -> BoolArray:
     """Between which rows the rover drives: not at a halt, nor turning on the spot. (n - 1,)"""
     speed = np.hypot(twist[:, 0], twist[:, 1])
-    return np.asarray(wheels.moving & (speed > STILL * mean_speed(wheels.rim_m_s)) & (speed > STILL * wheels.usual_m_s))
+    return np.asarray(
+        wheels.moving & (speed > ON_THE_SPOT * mean_speed(wheels.rim_m_s)) & (speed > STILL * wheels.usual_m_s)
+    )
 
 
 def nodes_of(sent: Rows, twist: FloatArray, way_m: FloatArray) -> tuple[Nodes, IndexArray]:

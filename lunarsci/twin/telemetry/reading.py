@@ -61,7 +61,6 @@ PLACES = ("x_m", "y_m", *ERRORS, "sigma_m")
 OF_A_WHEEL = (("angle_{}_deg", "rate_{}_deg_s", "speed_{}_m_s"), ("steered_{}_deg", "steering_{}_deg"))
 """Of each of these every wheel needs one: how it turned, and how it was steered."""
 _ENDS = {"f": "F", "front": "F", "r": "R", "rear": "R", "b": "R", "back": "R"}
-_ENDS |= dict.fromkeys(("m", "mid", "middle", "center", "centre"), "M")
 _SIDES = {"l": "L", "left": "L", "r": "R", "right": "R"}
 _COVARIANCES = {"0": "xx_m2", "1": "xy_m2", "7": "yy_m2", "35": "yaw_variance"}
 _STAMPS = {"time", "__time", "timestamp", "stamp", "rosbagtimestamp"}
@@ -101,13 +100,16 @@ SIGMA_DEG, RATE_SHARE = 1.0, 0.1
 """Standard errors of turns between rows, of all [deg] and of rates as a share; of commands it is `OBEYED`. Half or
 twice as much moves no slip, as measured; where readings fail they weigh which ones do."""
 TURNED_DEG = 3.0 * SIGMA_DEG
-"""Turn of a wheel up to which it stands: three standard errors, 8 mm of way. [deg]"""
+"""Turn of a wheel up to which it stands: three times as `SIGMA_DEG`, 8 mm of way. [deg]"""
 UNDER_WAY = 0.3
 """Share of the highest speed from which a wheel counts as under way. Half or twice as much moves slips by 0.05 of their
 errors at most, as measured."""
 LEAST_ROW_M = 0.3
 """Way between rows of states where positions are denser, and within which standstills are one halt, assumed: a rover's
 slip does not change faster. [m]"""
+
+
+_ENDS |= dict.fromkeys(("m", "mid", "middle", "center", "centre"), "M")
 
 
 def named_columns(names: list[str]) -> dict[str, tuple[str, float]]:
@@ -710,6 +712,12 @@ def _flat(file: str, table: "pd.DataFrame") -> "pd.DataFrame":
     if twice := next((name for name, times in Counter(names).items() if times > 1), None):
         raise DataError(f"{file}: two columns are called '{twice}'; keep one of them")
     return table.set_axis(pd.Index(names), axis=1)
+
+
+def filled(at: FloatArray, values: FloatArray) -> FloatArray:
+    """Values with what is missing found from those beside it; 0 where there are none. (n,), (n,)"""
+    given = np.isfinite(values)
+    return np.interp(at, at[given], values[given]) if given.any() else 0.0 * at
 
 
 def between(values: FloatArray) -> FloatArray:

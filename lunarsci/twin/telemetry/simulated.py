@@ -16,7 +16,6 @@ from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, STATE_COLUMNS, Predi
 if TYPE_CHECKING:
     import pandas as pd
 
-
 TRAVEL_SHARE = 0.04 / 3.0
 """Error of visual localisation as a share of the distance: 4 % read as three standard deviations, Ding et al. (2024),
 10.1038/s41467-024-46233-8."""
@@ -99,10 +98,9 @@ def simulate_telemetry(prediction: Prediction, errors: SensorErrors, seed: int =
 
     Raises ParameterError for several members or a drive of no motion.
     """
-    if prediction.members != 1:
-        raise ParameterError(f"telemetry is of one drive, not of {prediction.members}; give one soil")
-    if int(prediction.recorded[0]) < 3:
-        raise ParameterError(f"nothing to send: {prediction.outcome_text(0)}")
+    if prediction.members != 1 or int(prediction.recorded[0]) < 3:
+        many = f"telemetry is of one drive, not of {prediction.members}; give one soil"
+        raise ParameterError(many if prediction.members != 1 else f"nothing to send: {prediction.outcome_text(0)}")
     random = np.random.default_rng(seed)
     halts = _halts(prediction)
     return SyntheticDrive(

@@ -20,7 +20,7 @@ from lunarsci.ranges import refuse
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 from lunarsci.twin.telemetry.hypotheses import REPORTED
-from lunarsci.twin.telemetry.reading import LEAST_ROW_M, SURE
+from lunarsci.twin.telemetry.reading import LEAST_ROW_M, SURE, filled
 from lunarsci.twin.telemetry.simulated import deepest_at
 from lunarsci.twin.telemetry.states import MOST_LEFT_OUT, DriveStates, StateRows
 
@@ -30,12 +30,12 @@ SIGMA_M = 0.00033
 GRID = 5
 """Places across a footprint at which two terrains are compared, each way."""
 TIE_M = math.sqrt(2.0) * SIGMA_M
-"""Predicted sinkages that differ by less, the error of two depths, do not say which wheel is the deepest: it is the
-last then. [m]"""
-
+"""Predicted sinkages that differ by less than two depths with errors as `SIGMA_M` do not say which wheel is the
+deepest: it is the last then. [m]"""
 EARLIER = 0.15
 """Share by which a wheel must be predicted deeper than those after it to be the deepest: ground that is loaded again
-sinks further than the prediction, which knows no ruts, says: by up to 0.14 in drives by MuJoCo with such ruts."""
+sinks further than the prediction, which knows no ruts, says: as measured, by up to 0.14 in drives by MuJoCo with such
+ruts."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -173,7 +173,9 @@ def with_sinkage(drive: DriveStates, track: RutPoints | Terrain, before: Terrain
     depth[given], sigma[given] = points.depth_at(places[given], reach)
     _check_along(drive, points, depth, given)
     states = drive.held.states
-    x, y, z = (_without_holes(states[..., STATE_COLUMNS.index(name)]) for name in ("x_m", "y_m", "sinkage_m"))
+    columns, at = [STATE_COLUMNS.index(name) for name in ("x_m", "y_m", "sinkage_m")], np.arange(float(len(states)))
+    # Where the rover does not stand on the terrain, from beside.
+    x, y, z = (np.column_stack([filled(at, wheel) for wheel in states[..., k].T]) for k in columns)
     deepest, spread = np.zeros(len(places), dtype=bool), np.zeros(len(places))
     deepest[given], spread[given] = deepest_wheel(places[given], wheel[given], (x, y), z, drive.nodes.time_s, reach)
     sigma = np.hypot(sigma, spread)
@@ -217,16 +219,6 @@ def _with_rows_between(drive: DriveStates) -> StateRows:
 
 def _picked(rows: StateRows, numbers: IndexArray) -> StateRows:
     return StateRows(**{field.name: getattr(rows, field.name)[numbers] for field in dataclasses.fields(rows)})
-
-
-def _without_holes(values: FloatArray) -> FloatArray:
-    """Values along the drive, found from those beside where the rover does not stand on the terrain. (n, wheels)"""
-    result = values.copy()
-    for k in range(values.shape[1]):
-        given = np.isfinite(values[:, k])
-        if given.any():
-            result[:, k] = np.interp(np.arange(len(values)), np.flatnonzero(given), values[given, k])
-    return np.nan_to_num(result)
 
 
 def _check_along(drive: DriveStates, points: RutPoints, depth: FloatArray, given: BoolArray) -> None:

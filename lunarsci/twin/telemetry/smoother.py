@@ -33,6 +33,7 @@ from lunarsci.twin.telemetry.filter import (
     smoothed_back,
 )
 from lunarsci.twin.telemetry.hypotheses import (
+    DECISIVE,
     EFFECT_MEAN,
     FREEDOM,
     LN_ODDS,
@@ -68,9 +69,9 @@ ORDER = (2, 1, 0)
 DRAWN = 12
 STRIDES = (1, 5, 7, 11)
 """By which the draws of the three deviations and the walk are mixed: without a common divisor with `DRAWN`."""
-FAR = -2.0 * LN_ODDS["failure"]
-"""Mahalanobis distance squared from which on a position or a heading is more probably wrong altogether, and is looked
-at alone."""
+FAR = 2.0 * (DECISIVE - LN_ODDS["failure"])
+"""Mahalanobis distance squared from which on a position or a heading is decisively more probably wrong altogether, with
+odds as `LN_ODDS`, and is looked at alone."""
 MEDIAN_OF_TWO = 2.0 * math.log(2.0)
 """Median of chi-square with two degrees of freedom."""
 ROUNDS = 4

@@ -65,6 +65,7 @@ from lunarsci.twin.telemetry.nodes import (
 from lunarsci.twin.telemetry.reading import LEAST_ROW_M, OBEYED, SHARED, STILL, SURE, Findings, Positions, Telemetry
 from lunarsci.twin.telemetry.smoother import FAR, SlipProcess, Smoothed, smooth
 from lunarsci.twin.telemetry.wheel_motion import (
+    ON_THE_SPOT,
     WheelMotion,
     body_twist,
     mean_speed,
@@ -141,7 +142,7 @@ def state_rows(
     """States of every wheel at nodes where the rover drives, at most once between two positions, and at halts."""
     speed = np.hypot(nodes.twist[:, 0], nodes.twist[:, 1])
     steps = np.diff(nodes.time_s)
-    drives = (speed > STILL * nodes.way_m / steps) & (speed > STILL * wheels.usual_m_s)
+    drives = (speed > ON_THE_SPOT * nodes.way_m / steps) & (speed > STILL * wheels.usual_m_s)
     distance = np.append(0.0, np.cumsum(np.where(drives, speed * steps, 0.0)))
     gap_nodes = np.add.reduceat(gaps.astype(int), rows[:-1]) > 0
     chosen, halted = _state_nodes(nodes, drives, distance, gap_nodes, findings)
@@ -264,12 +265,12 @@ class Lag:
 
 
 def report_hypotheses(smoothed: Smoothed, nodes: Nodes, priors: Priors, lag: Lag, findings: Findings) -> None:
-    """Say each hypothesis that is more probable than not, with what was found; the motion holds it."""
+    """Report each hypothesis that is more probable than not, with its constants; the motion contains it."""
     mean, sigma = smoothed.posterior.mean, np.sqrt(np.diag(smoothed.posterior.covariance))
-
     for one, probable in zip(priors.hypotheses, smoothed.posterior.probable, strict=True):
         late = one.name == "lag"
-        if (lag.probable if late else probable) <= REPORTED or not one.what:
+        probable = lag.probable if late else probable
+        if probable <= REPORTED or not one.what:
             continue
         values: list[object] = [f"{one.factor * mean[k]:.3g} +- {one.factor * sigma[k]:.2g}" for k in one.members]
         doubt, time_s = False, None
@@ -312,7 +313,7 @@ def left_out_of(smoothed: Smoothed, nodes: Nodes) -> FloatArray:
 
 
 def report_outliers(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> None:
-    """Say positions and headings that hardly count, and errors that nobody can believe."""
+    """Report positions and headings that hardly count, and errors that nobody can believe."""
     given = np.isfinite(nodes.yaw_rad)
     odd = given & (smoothed.yaw_weight < HARDLY)
     many = bool(odd.sum() > MOST_LEFT_OUT * given.sum())

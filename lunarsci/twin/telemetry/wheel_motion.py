@@ -38,6 +38,8 @@ from lunarsci.twin.telemetry.reading import (
     between,
 )
 
+ON_THE_SPOT = 0.1
+"""Speed of the rover as a share of that of its rims below which it turns on the spot; assumed."""
 PACE = 0.02
 """Share by which a wheel may turn faster or slower than the plan or the others say, unsaid: it is a slip of as much;
 assumed."""

@@ -168,18 +168,13 @@ SAID: dict[str, tuple[Spoil, str, bool]] = {
     "no time": (set_to(slice(30, 33), "time_s", lambda v: np.nan), "no time", False),
     "late": (lambda t: t.iloc[20:], "late begin", False),
     "cut short": (lambda t: t.iloc[:60], "early end", False),
-    "clock late": (set_to(ALL, "time_s", lambda v: v + 8.0), "clock offset", False),
     "before the plan": (set_to(ALL, "time_s", lambda v: v - 5.0), "clock offset", False),
-    "clock in ms": (set_to(ALL, "time_s", lambda v: 1000.0 * v), "read as: time_s looks like ms", False),
     "dates": (
         lambda t: t.assign(time_s=pd.Timestamp("2026-11-24T10:00:00Z") + pd.to_timedelta(t.time_s, unit="s")),
         "clock offset", False,
     ),
     "rates in rad": (set_to(ALL, columns("rate_{}_deg_s"), np.radians), "read as: rate_W_deg_s looks like rad", False),
     "angles in rad": (set_to(ALL, columns("angle_{}_deg"), np.radians), "read as: angle_W_deg looks like rad", False),
-    "all turns in rad": (
-        set_to(ALL, columns("angle_{}_deg", "rate_{}_deg_s"), np.radians), "read as: angle_W_deg looks like rad", False,
-    ),
     "turns in rad, nothing else": (
         lambda t: set_to(ALL, columns("angle_{}_deg"), np.radians)(
             t.drop(columns=columns("rate_{}_deg_s", "speed_{}_m_s"))
@@ -187,7 +182,6 @@ SAID: dict[str, tuple[Spoil, str, bool]] = {
         "read as: the turns of the wheels look like rad", False,
     ),
     "speeds in cm": (set_to(ALL, columns("speed_{}_m_s"), lambda v: 100.0 * v), "read as: speed_W_m_s .* cm/s", False),
-    "speeds in km/h": (set_to(ALL, columns("speed_{}_m_s"), lambda v: 3.6 * v), "read as: speed_W_m_s .* km/h", False),
     "speeds in rad/s": (
         set_to(ALL, columns("speed_{}_m_s"), lambda v: v / 0.15), "read as: speed_W_m_s .* rad/s", False,
     ),
@@ -217,7 +211,6 @@ SAID: dict[str, tuple[Spoil, str, bool]] = {
     ),
     "stuck encoder": (set_to(slice(30, 60), "angle_ML_deg", lambda v: v.iloc[0]), "stuck", False),
     "stuck rate": (set_to(slice(30, 60), "rate_ML_deg_s", lambda v: 3.0 * v.iloc[0]), "odd rate", False),
-    "dead rate": (set_to(slice(30, 60), "rate_ML_deg_s", lambda v: 0.0), "odd rate", False),
     "stuck steering": (set_to(ALL, "steered_FL_deg", lambda v: 3.0), "stuck", False),
     "spike of steering": (set_to(44, "steered_FL_deg", lambda v: 60.0), "odd steering", False),
     "stuck heading": (set_to(slice(30, 60), "yaw_deg", lambda v: v.iloc[0]), "repeated heading", False),
@@ -239,7 +232,6 @@ SAID: dict[str, tuple[Spoil, str, bool]] = {
         lambda t: t.assign(x_m=t.x_m.where(~t.time_s.between(25, 85)), y_m=t.y_m.where(~t.time_s.between(25, 85))),
         "far positions", False,
     ),
-    "negative variance": (at_fix(5, ["xx_m2"], lambda v: -v), "bad covariance", False),
     "no covariance": (at_fix(5, ["xy_m2"], lambda v: 1.0), "bad covariance", False),
     "errors in another unit": (set_to(ALL, ["xx_m2", "yy_m2"], lambda v: v * 1e6), "read as", False),
     "errors far too small": (set_to(ALL, ["xx_m2", "yy_m2"], lambda v: v * 1e-4), "errors too small", True),

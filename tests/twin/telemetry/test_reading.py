@@ -156,7 +156,7 @@ def fields(telemetry: Telemetry) -> list[object]:
 def test_pieces_say_what_the_whole_says(
     drive: pd.DataFrame, yutu2: Rover, suffix: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Cut anywhere, amid lines and numbers too."""
+    """Cut anywhere, amid lines and numbers too; and one format what the other says."""
     table, buffer, text = stood(drive, 1500, fixes=2), io.BytesIO(), io.StringIO()
     if suffix == "parquet":
         pytest.importorskip("pyarrow")
@@ -169,7 +169,9 @@ def test_pieces_say_what_the_whole_says(
         text.write("# a remark, of which there may be some\n\n")
         table.to_csv(text, index=False)
     data = buffer.getvalue() or text.getvalue().encode()
-    whole = read(data, yutu2, f"sent.{suffix}")
+    whole, plain = read(data, yutu2, f"sent.{suffix}"), read(csv(table), yutu2)
+    for name in ("time_s", "fix_m", "fix_covariance_m2", "yaw_deg", "angle_deg", "steered_deg", "synthetic"):
+        np.testing.assert_allclose(getattr(whole, name), getattr(plain, name), rtol=1e-12)
     pieces = InputStream.pieces
     monkeypatch.setattr(InputStream, "pieces", lambda self: pieces(self, 40_009))
     monkeypatch.setattr("lunarsci.io.tables.PIECE_ROWS", 97)

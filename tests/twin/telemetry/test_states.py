@@ -139,12 +139,13 @@ def test_what_cannot_be_simulated_is_refused(drive: SyntheticDrive, yutu2: Rover
     both = dataclasses.replace(prediction, outcome=np.zeros(2, dtype=np.int64))
     with pytest.raises(ParameterError, match="give one soil"):
         simulate_telemetry(both, drive.errors)
-    with pytest.raises(ParameterError, match="above 0"):
-        SensorErrors(fix_distance_m=0.0)
-    with pytest.raises(ParameterError, match="0 or more"):
-        SensorErrors(yaw_deg=-1.0)
-    with pytest.raises(ParameterError, match="above 0"):
-        SensorErrors(fix_sigma_m=0.0)
+    for wrong, says in (
+        ({"fix_distance_m": 0.0}, "above 0"),
+        ({"yaw_deg": -1.0}, "0 or more"),
+        ({"fix_sigma_m": 0.0}, "above 0"),
+    ):
+        with pytest.raises(ParameterError, match=says):
+            SensorErrors(**wrong)
 
 
 @pytest.fixture(scope="module")
@@ -314,15 +315,6 @@ def test_a_track_tells_of_sinkages_between_positions_that_lie_far_apart(yutu2: R
     assert np.mean(sinkage < 1) > 0.5 and sinkage.max() < 4
 
 
-def test_better_positions_give_better_slips(yutu2: Rover) -> None:
-    """Twice the error of the positions, and up to twice that of the slips."""
-    errors = []
-    for sigma in (0.003, 0.006, 0.012):
-        drive, terrain = made_up(yutu2, 0, PLAN, SensorErrors(fix_sigma_m=sigma))
-        errors.append(float(np.median(found(drive, terrain).rows.slip_ratio_sigma)))
-    assert errors[0] < errors[1] < errors[2] < 4.0 * errors[0]
-
-
 def test_halts_have_no_slip_and_are_not_valid(yutu2: Rover) -> None:
     drive, terrain = made_up(yutu2, 0, HALTING)
     states = found(drive, terrain)
@@ -363,32 +355,8 @@ def test_tables_are_what_the_next_steps_read(states: DriveStates, yutu2: Rover) 
     assert np.isnan(both.values[:, 1:3]).all()
     assert (np.isfinite(both.values[:, 0]) == np.isfinite(alone.values[:, 0])).all()
     assert len(both.fix_m) == len(positions)
-
-
-def test_slips_of_another_basis_stay_beside_positions(states: DriveStates, yutu2: Rover) -> None:
-    table = wheel_table(states).assign(slip_basis="imu")
-    both = read_record(file(table), yutu2, positions=file(position_table(states)))
-    assert np.isfinite(both.values[:, 1]).all()
-
-
-@pytest.mark.parametrize("suffix", ["ecsv", "parquet"])
-def test_other_formats_say_the_same(drive: SyntheticDrive, yutu2: Rover, suffix: str) -> None:
-    buffer = io.BytesIO()
-    if suffix == "parquet":
-        pytest.importorskip("pyarrow")
-        drive.telemetry.to_parquet(buffer)
-    else:
-        from astropy.table import Table
-
-        text = io.StringIO()
-        Table.from_pandas(drive.telemetry).write(text, format="ascii.ecsv")
-        buffer.write(text.getvalue().encode())
-    findings = Findings("made-up")
-    one = read_telemetry(file(drive.telemetry), yutu2, findings)
-    other = read_telemetry(InputFile(f"made-up.{suffix}", buffer.getvalue()), yutu2, findings)
-    for name in ("time_s", "fix_m", "yaw_deg", "angle_deg", "steered_deg"):
-        assert getattr(other, name) == pytest.approx(getattr(one, name), nan_ok=True)
-    assert other.synthetic and one.synthetic
+    another = read_record(file(table.assign(slip_basis="imu")), yutu2, positions=file(positions))
+    assert np.isfinite(another.values[:, 1]).all()
 
 
 def test_units_of_an_ecsv_and_of_names_are_taken_as_they_say(drive: SyntheticDrive, yutu2: Rover) -> None:
@@ -460,13 +428,11 @@ def test_two_terrains_give_the_depth_between_them() -> None:
     assert depth[0] == pytest.approx(0.009) and np.isnan(depth[1])
     assert sigma[0] == pytest.approx(0.00033, rel=1e-3)
     assert not len(rut_points(before, after, np.array([[9.0, 9.0]]), 0.075).rut_m)
-
-
-def test_scatter_within_a_footprint_is_an_error() -> None:
-    points = RutPoints(
+    # Scatter within a footprint is an error, too.
+    scattered = RutPoints(
         place_m=np.zeros((4, 2)), rut_m=np.array([0.008, 0.010, 0.008, 0.010]), sigma_m=np.full(4, 0.0003)
     )
-    depth, sigma = points.depth_at(np.zeros((1, 2)), 0.05)
+    depth, sigma = scattered.depth_at(np.zeros((1, 2)), 0.05)
     assert depth[0] == pytest.approx(0.009)
     assert sigma[0] == pytest.approx(math.hypot(0.0003, 0.001 * math.sqrt(4 / 3) / 2), rel=1e-6)
 
