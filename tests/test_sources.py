@@ -61,7 +61,8 @@ SETTINGS = {
         "spectra/vnis/calibration.py: _SHADOW, _INVALID",
         "twin/ground/soil_map.py: MARGIN_M, NODES_ABOUT",
         "twin/routes/planner.py: EVERY_M, SHOWN_M", "twin/telemetry/simulated.py: DENSE_M",
-        "reproduce/soil.py: SINKAGES_MM", "reproduce/soil.py: TYPICAL_LOOK", "twin/comparison/scores.py: REGIONS", "twin/comparison/scores.py: NOMINAL",
+        "reproduce/soil.py: SINKAGES_MM", "reproduce/soil.py: TYPICAL_LOOK",
+        "twin/comparison/scores.py: REGIONS", "twin/comparison/scores.py: NOMINAL",
         "twin/judgement/keeping.py: CONFIDENCE", "twin/drives/layouts.py: MARGIN_M, MARGIN_SHARE, NODES"),
     "how long machines are waited for, and how much memory is taken": (
         "parallel/dask_cluster.py: CONNECT_S, LONELY_S, LOOK_S", "twin/simulation/contact.py: MOST_NODES"),
