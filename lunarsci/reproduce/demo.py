@@ -229,12 +229,12 @@ class Demonstration(Result):
 
     def rows(self) -> list[dict[str, Any]]:
         """One a quantity that was found, beside the truth where there is one."""
-        height, found = "pictures: height of the ground 3 m ahead", list[dict[str, Any]]()
+        height, ground = "pictures: height of the ground 3 m ahead", list[dict[str, Any]]()
         if self.seen is not None:
             heights = (self.seen.height_m, self.seen.sigma_m, self.seen.truth_m)
-            found = [_finding(height, *heights, "m", "ground.png")]
+            ground = [_finding(height, *heights, "m", "ground.png")]
         return [
-            *found,
+            *ground,
             *_rock_findings(self.rock),
             *_drive_findings(self.drive),
             *_soil_findings(self.soil, read_soil(SOIL)),

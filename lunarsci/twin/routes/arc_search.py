@@ -1,8 +1,7 @@
-"""Search for courses of arcs over a map of costs and clearances: a lattice of arcs, then a local refinement.
+"""Search for a path of arcs over a map: a lattice of arcs, a local refinement, and arcs that end it on the target.
 
-Arcs that end a path exactly where it shall end.
-
-What the search of a path looks up at a point: distance from the nearest obstacle, and cost of a metre.
+`search_ground` makes the map: at each node the distance from the nearest obstacle and the cost of a metre.
+`drive_arc` integrates both along an arc.
 """
 
 import math
