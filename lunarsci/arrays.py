@@ -11,6 +11,10 @@ IntArray: TypeAlias = npt.NDArray[np.int64]
 IndexArray: TypeAlias = npt.NDArray[np.intp]
 NORMAL_MAD = 1.4826
 """Standard deviation of a normal law over its median absolute deviation."""
+BIWEIGHT = 4.685
+"""Tukey's biweight, 95 % efficient for normal errors (Holland & Welsch 1977, 10.1080/03610927708827533)."""
+SIGNIFICANCE = 0.01
+"""Share of normal errors that is taken for outliers; assumed."""
 
 
 def spans(total: int, rows: int) -> list[range]:
@@ -23,7 +27,7 @@ def spans(total: int, rows: int) -> list[range]:
 
 
 def robust_scatter(values: FloatArray, about: float | None = None) -> float:
-    """Standard deviation of normal values, some of them outliers, from their median distance.
+    """Robust standard deviation: 1.4826 times the median absolute deviation.
 
     Parameters
     ----------
@@ -31,10 +35,6 @@ def robust_scatter(values: FloatArray, about: float | None = None) -> float:
     about : what the distances are counted from; their median if None.
     """
     return NORMAL_MAD * float(np.median(np.abs(values - (np.median(values) if about is None else about))))
-
-
-SIGNIFICANCE = 0.01
-"""Share of normal errors that is taken for outliers, and of right models that a test of fit rejects; assumed."""
 
 
 def huber_weights(squares: FloatArray, freedom: int) -> FloatArray:
@@ -45,10 +45,6 @@ def huber_weights(squares: FloatArray, freedom: int) -> FloatArray:
     from scipy.special import chdtri
 
     return np.sqrt(np.minimum(1.0, float(chdtri(freedom, SIGNIFICANCE)) / np.maximum(squares, 1e-300)))
-
-
-BIWEIGHT = 4.685
-"""Tukey's biweight, 95 % efficient for normal errors (Holland & Welsch 1977, 10.1080/03610927708827533)."""
 
 
 def robust_fit(design: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -75,9 +71,9 @@ def samples_about(times_s: FloatArray, wanted_s: FloatArray) -> tuple[IntArray, 
     -------
     Numbers of samples from 0 to n - 2, and shares from 0 to 1. (t,), (t,)
     """
-    place = np.interp(wanted_s, times_s, np.arange(len(times_s)))
-    low = np.minimum(place.astype(np.int64), len(times_s) - 2)
-    return low, place - low
+    index = np.interp(wanted_s, times_s, np.arange(len(times_s)))
+    low = np.minimum(index.astype(np.int64), len(times_s) - 2)
+    return low, index - low
 
 
 def at_times(

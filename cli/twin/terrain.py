@@ -68,7 +68,7 @@ def terrain(
 
 
 def check_files(output: Output, *, soil: bool, geotiff: bool) -> None:
-    """Options of files that are not written are a mistake to be said."""
+    """Refuse options of files that are not written."""
     for name, given in (("--soil", soil), ("--geotiff", geotiff)):
         if given and output.path is None:
             raise typer.BadParameter(f"{name} goes into a file; give -o DIR, or leave it out")

@@ -8,13 +8,17 @@ import re
 import tomllib
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
+from typing import Any, ClassVar, TypeAlias
+
+import numpy as np
 
 from lunarsci.errors import DataError, LunarSciError, LunarSciWarning
-from lunarsci.heights.grids import NETCDF, holds_heights
+from lunarsci.heights.grid import ERROR_LAYERS
+from lunarsci.heights.grids import NETCDF, holds_heights, read_grid
+from lunarsci.heights.texts import node_columns
 from lunarsci.io.documents import toml_document
 from lunarsci.io.inputs import (
     BEGINNING,
@@ -27,395 +31,43 @@ from lunarsci.io.inputs import (
     read_json,
     text,
 )
-from lunarsci.io.tables import separator_of
+from lunarsci.io.tables import read_csv_table, separator_of
 from lunarsci.names import some_of
+from lunarsci.regolith.columns import QUANTITIES, of_name
+from lunarsci.regolith.prior import UNITS, read_prior
+from lunarsci.regolith.soil import read_soil
+from lunarsci.regolith.states import read_state_table
+from lunarsci.regolith.wheel import left_to_defaults, read_wheel
 from lunarsci.registry import FORMATS, KINDS, TAKEN_BY, WHEEL
 from lunarsci.result import Doubt, MadeFrom, Result
-from lunarsci.rovers import read_rover, rover_names
+from lunarsci.rovers import RoverDescription, read_rover, rover_names
 from lunarsci.spectra.readers.arrangements import header_channels
 from lunarsci.spectra.readers.columns import is_wavelength
 from lunarsci.spectra.readers.dispatch import read_spectra, recognised
+from lunarsci.spectra.readers.table import MAX_PERCENT
 from lunarsci.spectra.readers.pds import is_pds_label, read_pds_label
 
-if TYPE_CHECKING:
-    from lunarsci.rovers import RoverDescription
 
-LABEL_OF_CAMERA = re.compile(r"^\s*MODEL_COMPONENT_1\s*=|_point_observe_vector>", re.MULTILINE)
-MAP = re.compile(r"^\s*OBJECT\s*=\s*\"?IMAGE_MAP_PROJECTION", re.MULTILINE)
-HEIGHTS = re.compile(
+CAMERA_LABEL = re.compile(r"^\s*MODEL_COMPONENT_1\s*=|_point_observe_vector>", re.MULTILINE)
+MAP_LABEL = re.compile(r"^\s*OBJECT\s*=\s*\"?IMAGE_MAP_PROJECTION", re.MULTILINE)
+HEIGHT_WORDS = re.compile(
     r"\bUNIT\s*=\s*\"?(?:KILO)?M(?:ET(?:ER|RE)S?)?\b|elevation|topograph|terrain|\bD[TE]M|radius", re.I
 )
 """What a label of a map says of heights."""
-
-
-def kind_of_rover_file(file: InputFile, start: str) -> str:
-    """`camera`, `rig` or `terrain`; '' of any other file. `start` are its first lines. Raises DataError."""
-    from lunarsci.images.rig_files import is_rig, tree_of
-
-    if LABEL_OF_CAMERA.search(start):
-        return "camera"
-    if is_map_of_heights(start) or is_table_of_heights(file, start):
-        return "terrain"
-    if tree_of(file) is None:
-        return ""
-    return "rig" if is_rig(file) else "camera"
-
-
-def is_map_of_heights(label: str) -> bool:
-    """Whether a PDS3 label is of a map of heights."""
-    return bool(MAP.search(label) and HEIGHTS.search(label))
-
-
-def is_image_of_heights(name: str) -> bool:
-    """Whether an image has a label of a map of heights, at its begin or beside it."""
-    labels = [Path(name).with_suffix(end) for end in (".lbl", ".LBL")]
-    label = next((each for each in labels if each.is_file()), Path(name))
-    with label.open("rb") as stream:
-        return is_map_of_heights(stream.read(BEGINNING).decode("latin-1"))
-
-
-def is_envi_of_heights(name: str) -> bool:
-    """Whether an image has a header of ENVI beside it with one band on a map."""
-    header = Path(name).with_suffix(".hdr")
-    content = header.read_text("latin-1") if header.is_file() else ""
-    return bool(
-        content.startswith("ENVI") and re.search(r"^bands\s*=\s*1\s*$", content, re.M) and "map info" in content
-    )
-
-
-def is_table_of_heights(file: InputFile, start: str) -> bool:
-    """Whether a text is a grid of heights, or has a row for each node."""
-    from lunarsci.heights.texts import node_columns
-    from lunarsci.spectra.readers.table import MAX_PERCENT
-
-    if start[:6].lower().startswith(("ncols", "nrows")) or Path(file.name).suffix.lower() == ".xyz":
-        return True
-    whole = start if len(start) < BEGINNING // 2 else start.rpartition("\n")[0]
-    # Telemetry and positions have x, y and z beside others.
-    return node_columns(file, whole, above=MAX_PERCENT) is not None
-
-
-def states_named_otherwise(columns: Sequence[str]) -> list[str]:
-    """Columns of wheel states that are there by other names, or in other units, where there are two or more."""
-    from lunarsci.regolith.columns import QUANTITIES, of_name
-
-    renamed = [what.target for name in columns if (what := of_name(name)) and what.target not in columns]
-    present = [one.column for one in QUANTITIES if one.column in columns]
-    return renamed if len(renamed) + len(present) > 1 else []
-
-
-def telemetry_named_otherwise(columns: Sequence[str]) -> list[str]:
-    """Columns of telemetry and positions that are there by names of ROS, or in other units."""
-    from lunarsci.twin.telemetry.reading import named_columns, ros_names
-
-    ros = ros_names(list(columns))
-    if not any(name.startswith("angle_") for name in ros):  # places, whichever way the rover looks
-        ros = [name for name in ros if name != "yaw_deg"]
-    return ros + [name for name in named_columns(list(columns)) if name not in columns]
-
-
-def camera_contents(file: InputFile) -> Mapping[str, Any]:
-    """What `images cameras` finds of one camera."""
-    from lunarsci.images.jobs.cameras import cameras
-
-    (camera,) = cameras([file]).to_dict()["cameras"]
-    contents = {
-        "size_px": f"{camera['width_px']} x {camera['height_px']}",
-        "focal length_px": f"{camera['fx_px']:.6g}",
-        "view_deg": f"{camera['view_across_deg']:.1f} x {camera['view_down_deg']:.1f}",
-    }
-    if "down_deg" in camera:
-        contents |= {"looks": f"heading {camera['heading_deg']:.2f}, down {camera['down_deg']:.2f} deg"}
-    return contents | {"read as": "; ".join(camera["remarks"]) or "as written"}
-
-
 LARGEST_WHEEL = "lrv"
 """Whose radius no sinkage passes, where the rover is not known."""
 WHEEL_ALONE = "a wheel alone"
-M3_HOLDS = {"LOC": "longitude, latitude and radius of each pixel", "OBS": "angles and distances of each pixel"}
+M3_IMAGES = {"LOC": "longitude, latitude and radius of each pixel", "OBS": "angles and distances of each pixel"}
 """Images of M3 that lie beside its spectra."""
-MOST = 6
+NAMES_LISTED = 6
 """Names that are listed."""
-LIKE = {
+LOOKS_LIKE = {
     r"rpm|heading|yaw|odomet|encoder|^[fmr][lr]_": "could be telemetry; `twin states` wants the columns of "
     "`lunarsci template telemetry`",
     r"slip|sink|drawbar|pull|torque|load|force|(^|_)f[xyz]($|_)": "could be wheel states; `regolith infer` wants "
     "sinkage_m, normal_force_n, drawbar_pull_n, and slip_ratio, see `lunarsci template states`",
 }
 """Columns, two or more, that tell what a table of another kind could be."""
-
-
-def _listed(names: Any) -> str:
-    return some_of([str(name) for name in names], MOST)
-
-
-def _spectra(file: InputFile) -> Mapping[str, Any]:
-    rows = read_spectra(file)
-    first = rows[0]
-    return {
-        "spectra": len(rows),
-        "names": _listed(one.id for one in rows[:100]),
-        "channels": len(first.wavelength_nm),
-        "from_nm": float(first.wavelength_nm[0]),
-        "to_nm": float(first.wavelength_nm[-1]),
-        "errors": first.uncertainty is not None,
-    }
-
-
-def _cube(file: InputFile) -> Mapping[str, Any]:
-    from lunarsci.spectra.cubes.rasters import M3_NAME, open_pds
-
-    if not is_pds_label(file):
-        m3 = M3_NAME.search(file.name)
-        if m3 and m3[2].upper() in ("RDN", "L1B"):
-            raise DataError(f"{file.name}: radiance of M3, no reflectance; the _RFL.IMG of Level 2 has that")
-        holds = M3_HOLDS.get(m3[2].upper(), "") if m3 else ""
-        return {"bytes": len(file.data)} | ({"holds": holds} if holds else {})
-    images = read_pds_label(file).images
-    open_pds(file.name)
-    return {one.file: f"{one.lines} lines, {one.samples} samples, {one.bands} bands"
-            f"{f' in {one.unit}' if one.unit else ''}" for one in images}  # fmt: skip
-
-
-def _craters(file: InputFile) -> Mapping[str, Any]:
-    from lunarsci.spectra.origin.catalogue import read_catalogue
-
-    craters = read_catalogue(file)
-    return {"craters": len(craters), "names": _listed(crater.name for crater in craters)}
-
-
-def _plan(file: InputFile) -> Mapping[str, Any]:
-    from lunarsci.twin.plans.plan import LIMITS_RULE, read_plan
-
-    plan = read_plan(file)
-    return {
-        "name": plan.name,
-        "legs": len(plan.legs),
-        "length_m": plan.length_m,
-        "speed_m_s": plan.speed_m_s,
-        "limits": "its own" if plan.has_limits else f"those of the rover that drives it: {LIMITS_RULE}",
-        "sweeps": _listed(sweep.name for sweep in plan.sweep) or "none",
-        "made for": "any rover" if plan.made_for is None else plan.made_for.name,
-    }
-
-
-def _mission(file: InputFile) -> Mapping[str, Any]:
-    from lunarsci.twin.mission.mission import read_mission
-
-    mission = read_mission(file)
-    return {
-        "name": mission.name,
-        "targets": _listed(target.name for target in mission.targets),
-        "keep-out circles": len(mission.keep_outs),
-        "hours of communication": len(mission.windows),
-    }
-
-
-def _rover(file: InputFile) -> Mapping[str, Any]:
-    from lunarsci.regolith.wheel import left_to_defaults, read_wheel
-    from lunarsci.rovers import read_rover
-    from lunarsci.twin.rover import build_rover
-
-    description = read_rover(file.name)
-    wheel = read_wheel(description)
-    contents = {"name": description.name, "wheel radius_m": wheel.radius_m, "wheel width_m": wheel.width_m}
-    left = left_to_defaults(description)
-    keys = [*description.assumed, *left]
-    parts = dict.fromkeys(key.partition(".")[0] for key in keys)
-    named = _listed(keys) if len(keys) <= MOST else f"of {', '.join(parts)}"
-    contents |= {"assumed numbers": f"{len(keys)}: {named}" if keys else 0}
-    if left:
-        contents["taken as usual, for want of a number"] = ", ".join(f"{key} {getattr(wheel, key):g}" for key in left)
-    if "suspension" not in description.tables:
-        return contents | {"parts": WHEEL_ALONE}
-    rover = build_rover(description)
-    contents |= {"mass_kg": rover.mass_kg, "wheels": _listed(rover.wheels), "max_speed_m_s": rover.max_speed_m_s}
-    return contents | _as_in_template(description)
-
-
-def _as_in_template(rover: "RoverDescription") -> dict[str, str]:
-    """Numbers that a template had and that nobody replaced, by their table; none where all are."""
-    from lunarsci.rovers import read_rover, rover_names
-
-    numbers = {f"{name}.{key}": value for name, table in rover.tables.items() for key, value in table.items()}
-    numbers = {key: value for key, value in numbers.items() if _is_numeric(value)}
-    asked = dict[str, list[str]]()
-    for key, of in rover.left.items():
-        table, _, name = key.partition(".")
-        template = read_rover(of).tables.get(table, {}) if of in rover_names() else {}
-        if key in numbers and numbers[key] == template.get(name):
-            asked.setdefault(f"[{table}] as of {of}", []).append(name)
-    if sum(map(len, asked.values())) == len(numbers):
-        return {}
-    whole = {title: len(keys) == sum(key.startswith(f"{title[1:].partition(']')[0]}.") for key in numbers)
-             for title, keys in asked.items()}  # fmt: skip
-    return {
-        title: f"{'all' if whole[title] and len(keys) > 1 else ', '.join(keys)}: this rover's?"
-        for title, keys in asked.items()
-    }
-
-
-def _is_numeric(value: Any) -> bool:
-    parts = value if isinstance(value, list) else [value]
-    return all(isinstance(part, int | float) and not isinstance(part, bool) for part in parts)
-
-
-def _soil(file: InputFile) -> Mapping[str, Any]:
-    import dataclasses
-
-    from lunarsci.regolith.soil import read_soil
-
-    return dataclasses.asdict(read_soil(file.name))
-
-
-def _prior(file: InputFile) -> Mapping[str, Any]:
-    from lunarsci.regolith.prior import UNITS, read_prior
-
-    laws, given = read_prior(file, contact=True), toml_document(text(file))
-    return {name: f"{laws[name].median:g} {UNITS[name]}, {laws[name].of} ± {laws[name].sd:g}" for name in given}
-
-
-def _pose(file: InputFile) -> Mapping[str, Any]:
-    from lunarsci.images.rig_files import read_pose
-
-    pose = read_pose(file)
-    return {"position_m": _listed(f"{value:g}" for value in pose.center_m), "heading_deg": pose.angles_deg()[0]}
-
-
-def _rig(file: InputFile) -> Mapping[str, Any]:
-    from lunarsci.images.rig_files import read_rig
-
-    rig = read_rig(file)
-    read_as = {"read as": "; ".join(rig.read_as)} if rig.read_as else {}
-    return {"name": rig.name, "baseline_m": float(rig.baseline_m)} | read_as
-
-
-def _terrain(file: InputFile) -> Mapping[str, Any]:
-    import numpy as np
-
-    from lunarsci.heights.grid import ERROR_LAYERS
-    from lunarsci.heights.grids import read_grid
-    from lunarsci.twin.ground.terrain import SOIL_COLUMNS
-
-    soil = (*SOIL_COLUMNS, *(f"{one}_left_of_prior" for one in SOIL_COLUMNS))
-    grid = read_grid(file.name, (), (*soil, *ERROR_LAYERS))
-    heights = grid.height_m[np.isfinite(grid.height_m)]
-    ny, nx = grid.height_m.shape
-    return {
-        "name": grid.name,
-        "nodes": f"{nx} x {ny}",
-        "spacing_m": grid.spacing_m,
-        "x_m": f"{grid.x0_m:g} to {grid.x0_m + (nx - 1) * grid.spacing_m:g}",
-        "y_m": f"{grid.y0_m:g} to {grid.y0_m + (ny - 1) * grid.spacing_m:g}",
-        "height_m": f"{heights.min():.3f} to {heights.max():.3f}",
-        "holes": f"{1 - heights.size / grid.height_m.size:.1%}",
-        "coordinate system": "local" if not grid.crs else "projected",
-        "read as": "; ".join(grid.read_as) or "as written",
-    }
-
-
-def _belief(file: InputFile) -> Mapping[str, Any]:
-    from lunarsci.regolith.belief import read_belief
-
-    belief = read_belief(file)
-    medians = {name: f"{ends[0]:.4g}" for name, ends in belief.intervals().items()}
-    return {"drives": len(belief.history)} | {f"median {name}": value for name, value in medians.items()}
-
-
-def _soil_map(file: InputFile) -> Mapping[str, Any]:
-    from lunarsci.twin.ground.soil_map import read_soil_map
-
-    soil = read_soil_map(file)
-    return {"zones": len(soil.zones), "correlation_m": soil.correlation_m}
-
-
-def _rows(file: InputFile) -> Mapping[str, Any]:
-    from lunarsci.io.tables import read_csv_table
-
-    table = read_csv_table(file)
-    contents: dict[str, Any] = {"rows": len(table), "columns": _listed(table.columns)}
-    if "wheel" in table:
-        contents["wheels"] = _listed(dict.fromkeys(table["wheel"]))
-    return contents
-
-
-def _other_table(file: InputFile) -> Mapping[str, Any]:
-    """What `_rows` says; a remark where two columns or more tell what it could be meant for."""
-    from lunarsci.io.tables import read_csv_table
-
-    columns = [str(name) for name in read_csv_table(file).columns]
-    for words, meant in LIKE.items():
-        if len(alike := [name for name in columns if re.search(words, name, re.IGNORECASE)]) > 1:
-            warnings.warn(f"columns {', '.join(alike[:4])}: {meant}", LunarSciWarning, stacklevel=2)
-            break
-    return _rows(file)
-
-
-def _states(file: InputFile) -> Mapping[str, Any]:
-    from lunarsci.regolith.states import read_state_table
-    from lunarsci.regolith.wheel import read_wheel
-
-    table = read_state_table(file, largest := read_wheel(LARGEST_WHEEL), any_wheel=True)
-    read_as = {"read as": "; ".join(table.named.read_as)} if table.named.read_as else {}
-    return read_as | {
-        **_rows(file),
-        "columns of no use": _listed(table.unused) or "none",
-        "range checked for": f"wheels of up to {largest.radius_m:g} m",
-    }
-
-
-def _telemetry(file: InputFile | InputStream) -> Mapping[str, Any]:
-    from lunarsci.twin.rover import build_rover
-    from lunarsci.twin.telemetry.reading import Findings, read_telemetry, ros_names
-
-    names = file.data if isinstance(file, InputFile) else _ends(file)
-    ros = ros_names(names.partition(b"\n")[0].decode("utf-8", "replace").split(","))
-    four = b"FL" in names and b"_ML_" not in names if not ros else "angle_ML_deg" not in ros
-    rover = build_rover("small-four" if four else "yutu2")
-    telemetry = read_telemetry(file, rover, Findings(file.name))
-    time = telemetry.time_s
-    return {
-        "rows": telemetry.rows,
-        "from_s": float(time.min()),
-        "to_s": float(time.max()),
-        "wheels": _listed(rover.wheels),
-        "synthetic": telemetry.synthetic,
-    }
-
-
-def _ends(stream: InputStream, size: int = 1 << 16) -> bytes:
-    """Begin and end of a file, where formats have the names of their columns."""
-    start = stream.file.read(size)
-    stream.file.seek(max(0, stream.file.seek(0, 2) - size))
-    end = stream.file.read()
-    stream.file.seek(0)
-    return start + end
-
-
-def _result(file: InputFile) -> Mapping[str, Any]:
-    document = read_json(file, "a result", lambda value: value)
-    record = document.get("provenance") or {}
-    return {
-        "schema": str(document["schema"]).removeprefix("lunarsci/"),
-        "command": record.get("command"),
-        "version": record.get("version"),
-        "time_utc": record.get("time_utc"),
-        "keys": _listed(document.get("result") or ()),
-        "inputs": _listed(one.get("path") for one in record.get("inputs") or ()) or "none",
-    }
-
-
-CONTENTS: Mapping[str, Callable[[InputFile], Mapping[str, Any]]] = {
-    "spectra": _spectra, "library": _spectra, "vnis": _spectra, "cube": _cube, "craters": _craters, "plan": _plan,
-    "mission": _mission, "rover": _rover, "soil": _soil, "pose": _pose, "camera": camera_contents, "rig": _rig,
-    "terrain": _terrain,
-    "belief": _belief, "soil map": _soil_map, "telemetry": _telemetry, "states": _states, "slips": _states,
-    "prior": _prior, "motion": _rows, "positions": _rows, "track": _rows, "soils": _rows, "table": _other_table,
-    "result": _result,
-}  # fmt: skip
-"""What a reader says of a file, by its kind."""
-
-
 TOML_KEYS = {
     "plan": ("leg",),
     "mission": ("target",),
@@ -435,7 +87,7 @@ CSV_COLUMNS = {
     "soils": ("stiffness_kpa_m_n",),
 }
 """Keys and columns that tell a kind, the first that fits; telemetry is a motion with what wheels did."""
-MAGIC = {
+MAGIC_BYTES = {
     b"\x89PNG": "picture",
     b"\xff\xd8\xff": "picture",
     b"PK\x03\x04": "terrain",
@@ -446,18 +98,18 @@ MAGIC = {
     b"DSBB": "terrain",
     b"DSRB": "terrain",
 }
-WAVELENGTH = re.compile(
+WAVELENGTH_NAME = re.compile(
     r"wave|wellenl|longueur|longitud|lunghezza|^wl|lambda|λ|(^|[^a-z])(nm|um|µm|μm|micron\w*)([^a-z]|$)|cm-1|channel",
     re.IGNORECASE,
 )
 """Names of a first column that make a table one of spectra."""
-SPECTRAL, LEAST_LINES, MOST_LINES = ((0.2, 5.0), (200.0, 5000.0)), 8, 200
+WAVELENGTH_RANGES, FEWEST_ROWS, ROWS_READ = ((0.2, 5.0), (200.0, 5000.0)), 8, 200
 """Where a first column of another name may lie, in µm and nm; rows that it needs at least, and that are looked at;
 assumed."""
-_NUMBER = re.compile(r"\s*[+-]?[0-9]+([.,][0-9]*)?([eE][+-]?[0-9]+)?\s*[;,\t ]")
-LONG = 1 << 26
+STARTS_WITH_NUMBER = re.compile(r"\s*[+-]?[0-9]+([.,][0-9]*)?([eE][+-]?[0-9]+)?\s*[;,\t ]")
+LONG_TELEMETRY_BYTES = 1 << 26
 """Bytes from which on telemetry is read in pieces."""
-_Description: TypeAlias = tuple[str, str, Mapping[str, Any], str]
+Description: TypeAlias = tuple[str, str, Mapping[str, Any], str]
 """Kind, SHA-256, contents and trouble."""
 SUFFIXES = {
     ".tif": "terrain", ".tiff": "terrain", ".asc": "terrain", ".2b": "vnis", ".2bl": "vnis", ".img": "cube",
@@ -558,13 +210,13 @@ def info(path: str | Path) -> FileInfo:
     )  # fmt: skip
 
 
-def _read(file: InputFile) -> _Description:
+def _read(file: InputFile) -> Description:
     return kind_of(file), file.sha256, *_contents(kind_of(file), file)
 
 
-def _long_telemetry(name: str) -> _Description | None:
+def _long_telemetry(name: str) -> Description | None:
     """What there is in telemetry that is too long to be read whole; None for any other file."""
-    if not Path(name).is_file() or Path(name).stat().st_size <= LONG:
+    if not Path(name).is_file() or Path(name).stat().st_size <= LONG_TELEMETRY_BYTES:
         return None
     with open_input(name) as stream:
         start = stream.file.read(1 << 16)
@@ -590,7 +242,7 @@ def kind_of(file: InputFile) -> str:
     suffix = Path(file.name).suffix.lower()
     if file.data.startswith(NETCDF) and holds_heights(Path(file.name)):
         return "terrain"
-    if magic := next((kind for start, kind in MAGIC.items() if file.data.startswith(start)), None):
+    if magic := next((kind for start, kind in MAGIC_BYTES.items() if file.data.startswith(start)), None):
         return magic
     if file.data.startswith(b"SIMPLE  ="):
         return "spectra"
@@ -616,8 +268,6 @@ def kind_of(file: InputFile) -> str:
         return _kind_of_json(file)
     if is_pds_label(file):
         return "cube" if read_pds_label(file).images else "spectra"
-    if (format := recognised(file, text.lstrip())) and FORMATS[format].spectra_alone:
-        return "spectra"
     return _kind_of_table(file.name, text, suffix)
 
 
@@ -674,7 +324,7 @@ def _kind_of_table(name: str, text: str, suffix: str) -> str:
 
 def _from_names(lines: list[str]) -> list[str]:
     """A table from the line above its first numbers on, which has their names; lines of text may be before it."""
-    numeric = [_NUMBER.match(line) is not None for line in lines]
+    numeric = [STARTS_WITH_NUMBER.match(line) is not None for line in lines]
     begin = next((k for k in range(len(lines) - 2) if all(numeric[k : k + 3])), 0)
     return lines[max(begin - 1, 0) :]
 
@@ -690,13 +340,351 @@ def _is_wavelength(column: str, name: str, lines: Sequence[str]) -> bool:
         float(column)
         return True
     except ValueError:
-        if WAVELENGTH.search(column):
+        if WAVELENGTH_NAME.search(column):
             return True
     try:
         separator = separator_of(lines[0])
-        values = [float(_cells(name, [line], separator)[0].replace(",", ".")) for line in lines[1:MOST_LINES]]
+        values = [float(_cells(name, [line], separator)[0].replace(",", ".")) for line in lines[1:ROWS_READ]]
     except (ValueError, IndexError):
         return False
     steps = {one < other for one, other in pairwise(values) if one != other}
-    within = any(low <= min(values) and max(values) <= high for low, high in SPECTRAL) if values else False
-    return within and len(values) >= LEAST_LINES and len(steps) == 1 and len({*values}) == len(values)
+    within = any(low <= min(values) and max(values) <= high for low, high in WAVELENGTH_RANGES) if values else False
+    return within and len(values) >= FEWEST_ROWS and len(steps) == 1 and len({*values}) == len(values)
+
+
+def kind_of_rover_file(file: InputFile, start: str) -> str:
+    """`camera`, `rig` or `terrain`; '' of any other file. `start` are its first lines. Raises DataError."""
+    from lunarsci.images.rig_files import is_rig, tree_of
+
+    if CAMERA_LABEL.search(start):
+        return "camera"
+    if is_map_of_heights(start) or is_table_of_heights(file, start):
+        return "terrain"
+    if tree_of(file) is None:
+        return ""
+    return "rig" if is_rig(file) else "camera"
+
+
+def is_map_of_heights(label: str) -> bool:
+    """Whether a PDS3 label is of a map of heights."""
+    return bool(MAP_LABEL.search(label) and HEIGHT_WORDS.search(label))
+
+
+def is_image_of_heights(name: str) -> bool:
+    """Whether an image has a label of a map of heights, at its begin or beside it."""
+    labels = [Path(name).with_suffix(end) for end in (".lbl", ".LBL")]
+    label = next((each for each in labels if each.is_file()), Path(name))
+    with label.open("rb") as stream:
+        return is_map_of_heights(stream.read(BEGINNING).decode("latin-1"))
+
+
+def is_envi_of_heights(name: str) -> bool:
+    """Whether an image has a header of ENVI beside it with one band on a map."""
+    header = Path(name).with_suffix(".hdr")
+    content = header.read_text("latin-1") if header.is_file() else ""
+    return bool(
+        content.startswith("ENVI") and re.search(r"^bands\s*=\s*1\s*$", content, re.M) and "map info" in content
+    )
+
+
+def is_table_of_heights(file: InputFile, start: str) -> bool:
+    """Whether a text is a grid of heights, or has a row for each node."""
+
+    if start[:6].lower().startswith(("ncols", "nrows")) or Path(file.name).suffix.lower() == ".xyz":
+        return True
+    whole = start if len(start) < BEGINNING // 2 else start.rpartition("\n")[0]
+    # Telemetry and positions have x, y and z beside others.
+    return node_columns(file, whole, above=MAX_PERCENT) is not None
+
+
+def states_named_otherwise(columns: Sequence[str]) -> list[str]:
+    """Columns of wheel states that are there by other names, or in other units, where there are two or more."""
+
+    renamed = [what.target for name in columns if (what := of_name(name)) and what.target not in columns]
+    present = [one.column for one in QUANTITIES if one.column in columns]
+    return renamed if len(renamed) + len(present) > 1 else []
+
+
+def telemetry_named_otherwise(columns: Sequence[str]) -> list[str]:
+    """Columns of telemetry and positions that are there by names of ROS, or in other units."""
+    from lunarsci.twin.telemetry.reading import named_columns, ros_names
+
+    ros = ros_names(list(columns))
+    if not any(name.startswith("angle_") for name in ros):  # places, whichever way the rover looks
+        ros = [name for name in ros if name != "yaw_deg"]
+    return ros + [name for name in named_columns(list(columns)) if name not in columns]
+
+
+def camera_contents(file: InputFile) -> Mapping[str, Any]:
+    """What `images cameras` finds of one camera."""
+    from lunarsci.images.jobs.cameras import cameras
+
+    (camera,) = cameras([file]).to_dict()["cameras"]
+    contents = {
+        "size_px": f"{camera['width_px']} x {camera['height_px']}",
+        "focal length_px": f"{camera['fx_px']:.6g}",
+        "view_deg": f"{camera['view_across_deg']:.1f} x {camera['view_down_deg']:.1f}",
+    }
+    if "down_deg" in camera:
+        contents |= {"looks": f"heading {camera['heading_deg']:.2f}, down {camera['down_deg']:.2f} deg"}
+    return contents | {"read as": "; ".join(camera["remarks"]) or "as written"}
+
+
+def _listed(names: Any) -> str:
+    return some_of([str(name) for name in names], NAMES_LISTED)
+
+
+def _spectra(file: InputFile) -> Mapping[str, Any]:
+
+    rows = read_spectra(file)
+    first = rows[0]
+    return {
+        "spectra": len(rows),
+        "names": _listed(one.id for one in rows[:100]),
+        "channels": len(first.wavelength_nm),
+        "from_nm": float(first.wavelength_nm[0]),
+        "to_nm": float(first.wavelength_nm[-1]),
+        "errors": first.uncertainty is not None,
+    }
+
+
+def _cube(file: InputFile) -> Mapping[str, Any]:
+    from lunarsci.spectra.cubes.rasters import M3_NAME, open_pds
+
+    if not is_pds_label(file):
+        m3 = M3_NAME.search(file.name)
+        if m3 and m3[2].upper() in ("RDN", "L1B"):
+            raise DataError(f"{file.name}: radiance of M3, no reflectance; the _RFL.IMG of Level 2 has that")
+        holds = M3_IMAGES.get(m3[2].upper(), "") if m3 else ""
+        return {"bytes": len(file.data)} | ({"holds": holds} if holds else {})
+    images = read_pds_label(file).images
+    open_pds(file.name)
+    return {one.file: f"{one.lines} lines, {one.samples} samples, {one.bands} bands"
+            f"{f' in {one.unit}' if one.unit else ''}" for one in images}  # fmt: skip
+
+
+def _craters(file: InputFile) -> Mapping[str, Any]:
+    from lunarsci.spectra.origin.catalogue import read_catalogue
+
+    craters = read_catalogue(file)
+    return {"craters": len(craters), "names": _listed(crater.name for crater in craters)}
+
+
+def _plan(file: InputFile) -> Mapping[str, Any]:
+    from lunarsci.twin.plans.plan import LIMITS_RULE, read_plan
+
+    plan = read_plan(file)
+    return {
+        "name": plan.name,
+        "legs": len(plan.legs),
+        "length_m": plan.length_m,
+        "speed_m_s": plan.speed_m_s,
+        "limits": "its own" if plan.has_limits else f"those of the rover that drives it: {LIMITS_RULE}",
+        "sweeps": _listed(sweep.name for sweep in plan.sweep) or "none",
+        "made for": "any rover" if plan.made_for is None else plan.made_for.name,
+    }
+
+
+def _mission(file: InputFile) -> Mapping[str, Any]:
+    from lunarsci.twin.mission.mission import read_mission
+
+    mission = read_mission(file)
+    return {
+        "name": mission.name,
+        "targets": _listed(target.name for target in mission.targets),
+        "keep-out circles": len(mission.keep_outs),
+        "hours of communication": len(mission.windows),
+    }
+
+
+def _rover(file: InputFile) -> Mapping[str, Any]:
+    from lunarsci.twin.rover import build_rover
+
+    description = read_rover(file.name)
+    wheel = read_wheel(description)
+    contents = {"name": description.name, "wheel radius_m": wheel.radius_m, "wheel width_m": wheel.width_m}
+    left = left_to_defaults(description)
+    keys = [*description.assumed, *left]
+    parts = dict.fromkeys(key.partition(".")[0] for key in keys)
+    named = _listed(keys) if len(keys) <= NAMES_LISTED else f"of {', '.join(parts)}"
+    contents |= {"assumed numbers": f"{len(keys)}: {named}" if keys else 0}
+    if left:
+        contents["taken as usual, for want of a number"] = ", ".join(f"{key} {getattr(wheel, key):g}" for key in left)
+    if "suspension" not in description.tables:
+        return contents | {"parts": WHEEL_ALONE}
+    rover = build_rover(description)
+    contents |= {"mass_kg": rover.mass_kg, "wheels": _listed(rover.wheels), "max_speed_m_s": rover.max_speed_m_s}
+    return contents | _as_in_template(description)
+
+
+def _as_in_template(rover: RoverDescription) -> dict[str, str]:
+    """Numbers that a template had and that nobody replaced, by their table; none where all are."""
+
+    numbers = {f"{name}.{key}": value for name, table in rover.tables.items() for key, value in table.items()}
+    numbers = {key: value for key, value in numbers.items() if _is_numeric(value)}
+    asked = dict[str, list[str]]()
+    for key, of in rover.left.items():
+        table, _, name = key.partition(".")
+        template = read_rover(of).tables.get(table, {}) if of in rover_names() else {}
+        if key in numbers and numbers[key] == template.get(name):
+            asked.setdefault(f"[{table}] as of {of}", []).append(name)
+    if sum(map(len, asked.values())) == len(numbers):
+        return {}
+    whole = {title: len(keys) == sum(key.startswith(f"{title[1:].partition(']')[0]}.") for key in numbers)
+             for title, keys in asked.items()}  # fmt: skip
+    return {
+        title: f"{'all' if whole[title] and len(keys) > 1 else ', '.join(keys)}: this rover's?"
+        for title, keys in asked.items()
+    }
+
+
+def _is_numeric(value: Any) -> bool:
+    parts = value if isinstance(value, list) else [value]
+    return all(isinstance(part, int | float) and not isinstance(part, bool) for part in parts)
+
+
+def _soil(file: InputFile) -> Mapping[str, Any]:
+
+    return asdict(read_soil(file.name))
+
+
+def _prior(file: InputFile) -> Mapping[str, Any]:
+
+    laws, given = read_prior(file, contact=True), toml_document(text(file))
+    return {name: f"{laws[name].median:g} {UNITS[name]}, {laws[name].of} ± {laws[name].sd:g}" for name in given}
+
+
+def _pose(file: InputFile) -> Mapping[str, Any]:
+    from lunarsci.images.rig_files import read_pose
+
+    pose = read_pose(file)
+    return {"position_m": _listed(f"{value:g}" for value in pose.center_m), "heading_deg": pose.angles_deg()[0]}
+
+
+def _rig(file: InputFile) -> Mapping[str, Any]:
+    from lunarsci.images.rig_files import read_rig
+
+    rig = read_rig(file)
+    read_as = {"read as": "; ".join(rig.read_as)} if rig.read_as else {}
+    return {"name": rig.name, "baseline_m": float(rig.baseline_m)} | read_as
+
+
+def _terrain(file: InputFile) -> Mapping[str, Any]:
+
+    from lunarsci.twin.ground.terrain import SOIL_COLUMNS
+
+    soil = (*SOIL_COLUMNS, *(f"{one}_left_of_prior" for one in SOIL_COLUMNS))
+    grid = read_grid(file.name, (), (*soil, *ERROR_LAYERS))
+    heights = grid.height_m[np.isfinite(grid.height_m)]
+    ny, nx = grid.height_m.shape
+    return {
+        "name": grid.name,
+        "nodes": f"{nx} x {ny}",
+        "spacing_m": grid.spacing_m,
+        "x_m": f"{grid.x0_m:g} to {grid.x0_m + (nx - 1) * grid.spacing_m:g}",
+        "y_m": f"{grid.y0_m:g} to {grid.y0_m + (ny - 1) * grid.spacing_m:g}",
+        "height_m": f"{heights.min():.3f} to {heights.max():.3f}",
+        "holes": f"{1 - heights.size / grid.height_m.size:.1%}",
+        "coordinate system": "local" if not grid.crs else "projected",
+        "read as": "; ".join(grid.read_as) or "as written",
+    }
+
+
+def _belief(file: InputFile) -> Mapping[str, Any]:
+    from lunarsci.regolith.belief import read_belief
+
+    belief = read_belief(file)
+    medians = {name: f"{ends[0]:.4g}" for name, ends in belief.intervals().items()}
+    return {"drives": len(belief.history)} | {f"median {name}": value for name, value in medians.items()}
+
+
+def _soil_map(file: InputFile) -> Mapping[str, Any]:
+    from lunarsci.twin.ground.soil_map import read_soil_map
+
+    soil = read_soil_map(file)
+    return {"zones": len(soil.zones), "correlation_m": soil.correlation_m}
+
+
+def _rows(file: InputFile) -> Mapping[str, Any]:
+
+    table = read_csv_table(file)
+    contents: dict[str, Any] = {"rows": len(table), "columns": _listed(table.columns)}
+    if "wheel" in table:
+        contents["wheels"] = _listed(dict.fromkeys(table["wheel"]))
+    return contents
+
+
+def _other_table(file: InputFile) -> Mapping[str, Any]:
+    """What `_rows` says; a remark where two columns or more tell what it could be meant for."""
+
+    columns = [str(name) for name in read_csv_table(file).columns]
+    for words, meant in LOOKS_LIKE.items():
+        if len(alike := [name for name in columns if re.search(words, name, re.IGNORECASE)]) > 1:
+            warnings.warn(f"columns {', '.join(alike[:4])}: {meant}", LunarSciWarning, stacklevel=2)
+            break
+    return _rows(file)
+
+
+def _states(file: InputFile) -> Mapping[str, Any]:
+
+    table = read_state_table(file, largest := read_wheel(LARGEST_WHEEL), any_wheel=True)
+    read_as = {"read as": "; ".join(table.named.read_as)} if table.named.read_as else {}
+    return read_as | {
+        **_rows(file),
+        "columns of no use": _listed(table.unused) or "none",
+        "range checked for": f"wheels of up to {largest.radius_m:g} m",
+    }
+
+
+def _telemetry(file: InputFile | InputStream) -> Mapping[str, Any]:
+    from lunarsci.twin.rover import build_rover
+    from lunarsci.twin.telemetry.reading import Findings, read_telemetry, ros_names
+
+    names = file.data if isinstance(file, InputFile) else _ends(file)
+    ros = ros_names(names.partition(b"\n")[0].decode("utf-8", "replace").split(","))
+    four = b"FL" in names and b"_ML_" not in names if not ros else "angle_ML_deg" not in ros
+    rover = build_rover("small-four" if four else "yutu2")
+    telemetry = read_telemetry(file, rover, Findings(file.name))
+    time = telemetry.time_s
+    return {
+        "rows": telemetry.rows,
+        "from_s": float(time.min()),
+        "to_s": float(time.max()),
+        "wheels": _listed(rover.wheels),
+        "synthetic": telemetry.synthetic,
+    }
+
+
+def _ends(stream: InputStream, size: int = 1 << 16) -> bytes:
+    """Begin and end of a file, where formats have the names of their columns."""
+    start = stream.file.read(size)
+    stream.file.seek(max(0, stream.file.seek(0, 2) - size))
+    end = stream.file.read()
+    stream.file.seek(0)
+    return start + end
+
+
+def _result(file: InputFile) -> Mapping[str, Any]:
+    document = read_json(file, "a result", lambda value: value)
+    record = document.get("provenance") or {}
+    return {
+        "schema": str(document["schema"]).removeprefix("lunarsci/"),
+        "command": record.get("command"),
+        "version": record.get("version"),
+        "time_utc": record.get("time_utc"),
+        "keys": _listed(document.get("result") or ()),
+        "inputs": _listed(one.get("path") for one in record.get("inputs") or ()) or "none",
+    }
+
+
+CONTENTS: Mapping[str, Callable[[InputFile], Mapping[str, Any]]] = {
+    "spectra": _spectra, "library": _spectra, "vnis": _spectra, "cube": _cube, "craters": _craters, "plan": _plan,
+    "mission": _mission, "rover": _rover, "soil": _soil, "pose": _pose, "camera": camera_contents, "rig": _rig,
+    "terrain": _terrain,
+    "belief": _belief, "soil map": _soil_map, "telemetry": _telemetry, "states": _states, "slips": _states,
+    "prior": _prior, "motion": _rows, "positions": _rows, "track": _rows, "soils": _rows, "table": _other_table,
+    "result": _result,
+}  # fmt: skip
+"""What a reader says of a file, by its kind."""
+    if (format := recognised(file, text.lstrip())) and FORMATS[format].spectra_alone:
+        return "spectra"

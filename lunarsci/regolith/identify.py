@@ -15,6 +15,7 @@ from lunarsci.ranges import ACUTE_DEG, NOT_NEGATIVE, POSITIVE, check_each, refus
 from lunarsci.regolith import inversion
 from lunarsci.regolith.forces import shear_sign_code, warn_of_shear_sign
 from lunarsci.regolith.prior import SIGNIFICANCE
+from lunarsci.regolith.prior import UNITS as SOIL_UNITS
 from lunarsci.regolith.states import COLUMNS, WheelStates
 from lunarsci.regolith.wheel import ShearSign, Wheel
 
@@ -36,22 +37,10 @@ POOLED_DRAWS, LEAST_POOLED = 200_000, 8
 PERCENTILES = (2.5, 97.5)
 MIN_SOLVED = 0.5
 """Share of the draws with a solution below which no value is given: the others may hold its median."""
-UNITS = {
-    "sigma_m_pa": "Pa",
-    "tau_xm_pa": "Pa",
-    "tau_ym_pa": "Pa",
-    "stiffness_kpa_m_n": "kPa/m^N",
-    "exponent": "-",
-    "friction_angle_deg": "deg",
-    "cohesion_pa": "Pa",
-    "external_friction_angle_deg": "deg",
-    "lateral_modulus_mm": "mm",
-}
+UNITS = {**dict.fromkeys(("sigma_m_pa", "tau_xm_pa", "tau_ym_pa"), "Pa"), "exponent": "-", **SOIL_UNITS}
 """Unit of every estimated quantity."""
-
-
 RANGES = {
-    **dict.fromkeys(("exponent", "stiffness_kpa_m_n", "shear_modulus_mm"), POSITIVE),
+    **dict.fromkeys(("exponent", "stiffness_kpa_m_n", "shear_modulus_mm", "lateral_modulus_mm"), POSITIVE),
     **dict.fromkeys(("friction_angle_deg", "external_friction_angle_deg"), ACUTE_DEG),
     "cohesion_pa": NOT_NEGATIVE,
 }
@@ -136,8 +125,6 @@ class Assumptions:
         if not self.lateral_modulus_mm and self.external_friction_angle_deg is None:
             object.__setattr__(self, "lateral_modulus_mm", (13.0, 40.0))
         check_each("assumed", self, RANGES)
-        for value in self.lateral_modulus_mm:
-            check_each("assumed", {"lateral_modulus_mm": value}, {"lateral_modulus_mm": POSITIVE})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

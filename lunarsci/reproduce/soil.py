@@ -322,14 +322,14 @@ def histograms(wheel: Wheel, draws: int = DRAWS, seed: int = 0) -> tuple[Histogr
         exponent = inversion.sinkage_exponent(shallow[0], shallow[3], STIFFNESS)
         stiffness = inversion.stiffness(deep[0], deep[3], 1.0)
         angle = inversion.friction_angle(sheared[0], sheared[1], sheared[4], COHESION_PA)
-    rows = (
-        ("sinkage exponent N at 5 mm [-]", "-", "exponent-5mm", "exponent-sd", exponent),
-        ("stiffness K$_s$ at 15 mm [kPa m$^{-N}$]", "m$^N$/kPa", "stiffness-15mm", "stiffness-sd-15mm", stiffness),
-        ("friction angle φ at 520 Pa [°]", "1/°", "friction-angle", "friction-angle-sd", angle),
-    )
-    return tuple(
-        Histogram(label, per, mean_id, sd_id, values[np.isfinite(values)])
-        for label, per, mean_id, sd_id, values in rows
+
+    def made(label: str, per: str, mean_id: str, sd_id: str, values: FloatArray) -> Histogram:
+        return Histogram(label, per, mean_id, sd_id, values[np.isfinite(values)])
+
+    return (
+        made("sinkage exponent N at 5 mm [-]", "-", "exponent-5mm", "exponent-sd", exponent),
+        made("stiffness K$_s$ at 15 mm [kPa m$^{-N}$]", "m$^N$/kPa", "stiffness-15mm", "stiffness-sd-15mm", stiffness),
+        made("friction angle φ at 520 Pa [°]", "1/°", "friction-angle", "friction-angle-sd", angle),
     )
 
 

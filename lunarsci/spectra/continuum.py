@@ -30,8 +30,6 @@ CONIC_TIES_NM = (700.0, 1345.0, 1580.0)
 TERMS = len(CONIC_TIES_NM)
 SHOULDERS_NM = ((600.0, 850.0), (1250.0, 1650.0), (2150.0, 2600.0))
 """Where `linear` looks for its tie points; assumed, wide enough for olivine and pyroxene."""
-
-
 SMOOTHED, LEVEL, WEIGHT, NODE, TIE_ROWS = 0, 1, 1 + len(CONTINUA), 1 + len(CONTINUA) * (1 + TERMS), 14
 """Rows, n of each, of the table that eight spectra of n channels are worked on in: smoothed reflectance; by continuum
 its level and the weights of its terms; whether the hull touches."""
@@ -98,14 +96,14 @@ def continuum(name: ContinuumName, wavelength_nm: FloatArray, smoothed: FloatArr
             else "fewer than two band shoulders within the spectrum; give `continuum` hull"
         )
     values, levels = np.ascontiguousarray(smoothed, float), np.empty(smoothed.shape)
-    t, tie, nodes, room = tables_of(ties, TIE_ROWS)
-    _levels(CONTINUA.index(name), ties, values, t, tie[CONTINUA.index(name)], nodes, room, levels)
+    t, tie, nodes, workspace = tables_of(ties, TIE_ROWS)
+    _levels(CONTINUA.index(name), ties, values, t, tie[CONTINUA.index(name)], nodes, workspace, levels)
     return levels
 
 
 def tables_of(ties: Ties, rows: int) -> tuple[FloatArray, Indices, Indices, FloatArray]:
     """What eight spectra on n channels are worked on in: a table of (rows n, 8), of which this module uses `TIE_ROWS`,
-    the channels of the terms by continuum, (3, 3, 8), and room for one spectrum, (n,) each."""
+    the channels of the terms by continuum, (3, 3, 8), and workspaces of one spectrum, (n,) each."""
     count = ties.wavelength_nm.size
     t, tie = aligned(rows * count), np.zeros((len(CONTINUA), TERMS, LANES), np.int64)
     tie[CONIC] = ties.conic[:, None]
@@ -148,20 +146,20 @@ def _levels(
     t: Any,
     tie: Indices,
     nodes: Indices,
-    room: FloatArray,
+    workspace: FloatArray,
     out: FloatArray,
 ) -> None:
     count = ties.wavelength_nm.size
     for begin in range(0, len(smoothed), LANES):
         take_eight(smoothed, begin, t, SMOOTHED * count)
-        tie_down(which, ties, t, tie, nodes, room)
+        tie_down(which, ties, t, tie, nodes, workspace)
         for lane in range(min(LANES, len(smoothed) - begin)):
             for j in range(count):
                 out[begin + lane, j] = t[(LEVEL + which) * count + j, lane]
 
 
 @uncounted
-def tie_down(which: int, ties: Ties, t: Any, tie: Indices, nodes: Indices, room: FloatArray) -> None:
+def tie_down(which: int, ties: Ties, t: Any, tie: Indices, nodes: Indices, workspace: FloatArray) -> None:
     """A continuum, its place in `CONTINUA`, of eight smoothed spectra: its LEVEL, and what that is made of.
 
     That is NODE, 1 where the hull touches and 0 elsewhere, and the channels of the other continua's terms, in `tie`;
@@ -171,9 +169,9 @@ def tie_down(which: int, ties: Ties, t: Any, tie: Indices, nodes: Indices, room:
     if which == HULL:
         for lane in range(LANES):
             for j in range(count):
-                room[j] = t[SMOOTHED * count + j, lane]
+                workspace[j] = t[SMOOTHED * count + j, lane]
                 t[NODE * count + j, lane] = 0.0
-            for k in range(hull_chain(wavelength_nm, room, nodes)):
+            for k in range(hull_chain(wavelength_nm, workspace, nodes)):
                 t[NODE * count + nodes[k], lane] = 1.0
         _hull_lines(wavelength_nm, t)
     elif which == LINEAR:
@@ -218,7 +216,7 @@ def _highest_of(value: Any, j: Any, at_nm: Any, highest: Any, place: Any, place_
 def _straight_lines(ties: Ties, t: Any, tie: Indices) -> None:
     """Between the highest points of the shoulders, two or three, extended beyond the first and the last."""
     wavelength_nm, shoulders, count, number = ties.wavelength_nm, ties.shoulders, ties.wavelength_nm.size, 0
-    room = (WEIGHT + TERMS * LINEAR) * count
+    base = (WEIGHT + TERMS * LINEAR) * count
     for k in range(TERMS):
         low, high = shoulders[k, 0], shoulders[k, 1]
         if high > low:
@@ -227,21 +225,26 @@ def _straight_lines(ties: Ties, t: Any, tie: Indices) -> None:
                 highest, place, place_nm = _highest_of(
                     load(t, SMOOTHED * count + j), float(j), wavelength_nm[j], highest, place, place_nm
                 )
-            store(t, room + 3 * number, highest)
-            store(t, room + 3 * number + 1, place)
-            store(t, room + 3 * number + 2, place_nm)
+            store(t, base + 3 * number, highest)
+            store(t, base + 3 * number + 1, place)
+            store(t, base + 3 * number + 2, place_nm)
             for lane in range(LANES):
-                tie[number, lane] = int(t[room + 3 * number + 1, lane])
+                tie[number, lane] = int(t[base + 3 * number + 1, lane])
             number += 1
-    _between(wavelength_nm, t, room, number)
+    _between(wavelength_nm, t, base, number)
 
 
 @uncounted
-def _between(wavelength_nm: FloatArray, t: Any, room: int, number: int) -> None:
-    """Weights and level of lines through two or three nodes: their values, channels and wavelengths, from `room` on."""
+def _between(wavelength_nm: FloatArray, t: Any, base: int, number: int) -> None:
+    """Weights and level of lines through two or three nodes: their values, channels and wavelengths, from `base` on."""
     count = wavelength_nm.size
-    first, first_nm, second, place = load(t, room), load(t, room + 2), load(t, room + 3), load(t, room + 4)
-    second_nm, third, third_nm = load(t, room + 5), load(t, room + 6), load(t, room + 8)
+    first, first_nm, second, place = (
+        load(t, base),
+        load(t, base + 2),
+        load(t, base + 3),
+        load(t, base + 4),
+    )
+    second_nm, third, third_nm = load(t, base + 5), load(t, base + 6), load(t, base + 8)
     if number < TERMS:
         place, third, third_nm = spread(float(count)), second, second_nm + 1.0
     per_nm, per_next = 1.0 / (second_nm - first_nm), 1.0 / (third_nm - second_nm)
@@ -251,7 +254,7 @@ def _between(wavelength_nm: FloatArray, t: Any, room: int, number: int) -> None:
         one = choose(inside, 1.0 - share, spread(0.0))
         two = choose(inside, share, 1.0 - behind)
         three = choose(inside, spread(0.0), behind)
-        store(t, room + j, one)
-        store(t, room + count + j, two)
-        store(t, room + 2 * count + j, three)
+        store(t, base + j, one)
+        store(t, base + count + j, two)
+        store(t, base + 2 * count + j, three)
         store(t, (LEVEL + LINEAR) * count + j, first * one + second * two + third * three)

@@ -18,7 +18,7 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.guide import doctor
 from lunarsci.guide.cite import REFERENCE, SEVERAL, CitedSources, cite, reference_of, reference_to, works
 from lunarsci.guide.cite import _cited as cite_of
-from lunarsci.guide.info import CONTENTS, CSV_COLUMNS, MAGIC, SUFFIXES, TOML_KEYS, info
+from lunarsci.guide.info import CONTENTS, CSV_COLUMNS, KINDS, MAGIC_BYTES, SUFFIXES, TOML_KEYS, info
 from lunarsci.guide.template import KINDS as TEMPLATES
 from lunarsci.guide.template import described, template
 from lunarsci.io.inputs import InputFile
@@ -54,7 +54,7 @@ def test_long_telemetry_is_read_in_pieces_and_is_the_same(
     if suffix == "parquet":
         pd.read_csv(path, comment="#").to_parquet(path := tmp_path / "sent.parquet")
     whole = info(path)
-    monkeypatch.setattr("lunarsci.guide.info.LONG", 0)
+    monkeypatch.setattr("lunarsci.guide.info.LONG_TELEMETRY_BYTES", 0)
     monkeypatch.setattr("lunarsci.guide.info.read_input", None)
     assert info(path).to_dict() == whole.to_dict() and whole.contents["rows"] > 0
     assert info(path).sha256 == whole.sha256
@@ -123,7 +123,7 @@ def test_every_attribute_of_the_classes_behind_a_rover_is_described() -> None:
 
 
 def test_every_kind_is_told_somehow_and_says_what_is_in_it() -> None:
-    told = {*TOML_KEYS, *(kind.strip() for kind in CSV_COLUMNS), *MAGIC.values(), *SUFFIXES.values()}
+    told = {*TOML_KEYS, *(kind.strip() for kind in CSV_COLUMNS), *MAGIC_BYTES.values(), *SUFFIXES.values()}
     told |= {
         "prior",
         "spectra",

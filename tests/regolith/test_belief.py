@@ -94,6 +94,7 @@ def test_a_bad_file_is_one_line_that_names_it(belief: SoilBelief, tmp_path: Path
         json.dumps(good | {"order": good["order"][::-1]}): "a belief needs laws",
         json.dumps(good | {"mean": [1.0]}): "mean",
         json.dumps(good | {"mean": [float("nan")] * 8}): "NaN",
+        json.dumps(good | {"mean": [90.0, *good["mean"][1:]]}): "standard deviations from its law",
         json.dumps(good | {"covariance": (-belief.covariance).tolist()}): "positive definite",
         json.dumps(good | {"covariance": crooked.tolist()}): "symmetric",
         json.dumps(good | {"population": [[1.0, 2.0]]}): "population",

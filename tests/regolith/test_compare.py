@@ -57,20 +57,14 @@ def test_half_a_pair_and_nonsense_are_refused() -> None:
         compare_site(LONGJI, 0.0)
 
 
-def test_the_picture_names_the_nearest() -> None:
-    figure = comparison_figure(LONGJI, compare_site(LONGJI, 0.15), 0.15)
-    names = {text.get_text() for axes in figure.axes for text in axes.texts}
-    assert "Apollo 12, drive tube" in names
-
-
-def test_the_picture_has_four_panels_and_the_curves_of_the_wheel_states() -> None:
+def test_the_picture_has_four_panels_the_curves_of_the_wheel_states_and_names_the_nearest() -> None:
     curve = [{"exponent": n, "stiffness_kpa_m_n": 1000.0, "low": 900.0, "high": 1100.0} for n in (0.9, 1.0)]
-    plain, drawn = (
-        comparison_figure(LONGJI, compare_site(LONGJI, 0.15), 0.15, curves) for curves in (None, {"bearing": curve})
-    )
-    assert len(plain.axes) == len(drawn.axes) == 4
-    assert len(drawn.axes[0].collections) == len(plain.axes[0].collections) + 1
-    assert {"FJS-1 simulant", "Longji at the lowest K$_y$"} <= {text.get_text() for text in plain.axes[3].texts}
+    figure = comparison_figure(LONGJI, compare_site(LONGJI, 0.15), 0.15, {"bearing": curve})
+    bearing, _, missions, lateral = figure.axes
+    assert [len(axes.collections) for axes in figure.axes] == [1, 0, 0, 0]
+    assert bearing.collections[0].get_datalim(bearing.transData).extents == pytest.approx([0.9, 900.0, 1.0, 1100.0])
+    assert "Apollo 12, drive tube" in {text.get_text() for text in missions.texts}
+    assert {"FJS-1 simulant", "Longji at the lowest K$_y$"} <= {text.get_text() for text in lateral.texts}
 
 
 def test_half_a_lateral_pair_is_refused() -> None:

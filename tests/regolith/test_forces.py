@@ -249,6 +249,7 @@ def test_impossible_states_are_refused(state: tuple[float, float, float], name: 
         {"grouser_height_m": -1},
         {"grouser_shear_coefficient": 2},
         {"exit_c3": 0.6},
+        {"grouser_height_m": 0.15},
         {"radius_m": math.nan},
     ],
 )

@@ -38,8 +38,6 @@ if TYPE_CHECKING:
 
 ITS_WHEELS = 6
 """Of the rover whose wheel is taken where none is named."""
-HELD = {"stiffness_kpa_m_n": "kPa/m^N", "cohesion_pa": "Pa", "friction_angle_deg": "deg", "shear_modulus_mm": "mm"}
-"""Units of what single states are solved with."""
 
 
 def assumptions_of(request: IdentifyRequest) -> Assumptions:
@@ -78,7 +76,7 @@ def alone_title(held: Mapping[str, float]) -> str:
     'Each state by itself (assumes N = 1, c = 520 Pa, K_x = 17.8 mm)'
     """
     symbols = {name: label.rpartition(" ")[2] for name, label in LABELS.items()} | {"shear_modulus_mm": "K_x"}
-    texts = [f"{symbols[name]} = {value:g} {HELD.get(name, '')}".rstrip() for name, value in held.items()]
+    texts = [f"{symbols[name]} = {value:g} {UNITS[name]}".removesuffix(" -") for name, value in held.items()]
     return f"Each state by itself (assumes {', '.join(texts)})"
 
 

@@ -52,6 +52,7 @@ SHORT = {
     "ol_share": "olivine share",
     "opx_share": "opx share",
 }
+"""What tables call a quantity of the chemistry."""
 METHODS = {
     "gaffey": "Gaffey 2002",
     "burbine": "Burbine 2009",
@@ -61,6 +62,7 @@ METHODS = {
     "cloutis": "Cloutis 1986",
     "bc1000": "1 µm centre",
 }
+"""What they call a regression, by a part of its key."""
 
 
 def regression(key: str) -> str:

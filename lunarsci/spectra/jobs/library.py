@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, LunarSciWarning
+from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, LunarSciWarning, named
 from lunarsci.io.inputs import read_input
 from lunarsci.options import request_of
 from lunarsci.result import Doubt, MadeFrom, Result
@@ -22,6 +22,7 @@ from lunarsci.spectra.readers.library import (
     to_ecsv,
     with_description,
 )
+from lunarsci.spectra.readers.library import check_library as findings_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -123,15 +124,15 @@ class CheckedLibrary(Result):
 
 
 def open_library(
-    files: Sequence[str], wavelength_unit: Any = None, reflectance_unit: Any = None, but: str | None = None
+    files: Sequence[str], wavelength_unit: Any = None, reflectance_unit: Any = None, skipped: str | None = None
 ) -> Library:
-    """Read every file `but` one; what cannot be read is remembered. Raises DataError when nothing can."""
+    """Read every file but the `skipped` one; `failures` has what cannot be read. Raises DataError when nothing can."""
     members: list[EndMember] = []
     origins: list[str] = []
     inputs: dict[str, str] = {}
     failures: list[Failure] = []
     for name in expanded(files, failures):
-        if but is not None and Path(name).resolve() == Path(but).resolve():
+        if skipped is not None and Path(name).resolve() == Path(skipped).resolve():
             continue
         try:
             source = read_input(name)
@@ -157,7 +158,7 @@ def import_library(files: Sequence[str], request: ImportRequest | None = None, *
     table = read_input(asked.metadata) if asked.metadata is not None else None
     stated = read_metadata(table) if table else {}
     skipped = asked.metadata if isinstance(asked.metadata, str) else None
-    result = open_library(files, asked.wavelength_unit, asked.reflectance_unit, but=skipped)
+    result = open_library(files, asked.wavelength_unit, asked.reflectance_unit, skipped)
     unknown = [member.id for member in result.members if table and member.id not in stated]
     left_out = [member.id for member in result.members if stated.get(member.id, {}).get("mineral") == MIXTURE]
     retained = [
@@ -180,10 +181,8 @@ def import_library(files: Sequence[str], request: ImportRequest | None = None, *
 
 
 def _described(member: EndMember, stated: Mapping[str, Any], asked: ImportRequest, table: str) -> EndMember:
-    try:
+    with named(table):
         member = with_description(member, stated)
-    except DataError as error:
-        raise DataError(f"{table}: {error}") from error
     return replace(member, mineral=member.mineral or asked.mineral, source=member.source or asked.source)
 
 
@@ -208,6 +207,4 @@ def check_library(files: Sequence[str]) -> CheckedLibrary:
 
 
 def _checked(library: Library) -> CheckedLibrary:
-    from lunarsci.spectra.readers.library import check_library
-
-    return CheckedLibrary(library=library, findings=check_library(library.members))
+    return CheckedLibrary(library=library, findings=findings_of(library.members))

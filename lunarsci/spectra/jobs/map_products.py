@@ -32,6 +32,7 @@ from lunarsci.spectra.bands import band_arrays
 from lunarsci.spectra.continuum import CONTINUA
 from lunarsci.spectra.cubes.output import NO_CODE, Layer, Product
 from lunarsci.spectra.indices import INDICES, index_arrays
+from lunarsci.spectra.indices import STATUSES as INDEX_STATUSES
 from lunarsci.spectra.jobs.bands import bands
 from lunarsci.spectra.jobs.fit import fit
 from lunarsci.spectra.jobs.match import match
@@ -47,20 +48,7 @@ from lunarsci.spectra.origin.catalogue import TABLE, embedded_catalogue, read_ca
 from lunarsci.spectra.origin.prior import CHANG_E_4
 from lunarsci.spectra.spectrum import Smoothing, Spectrum
 
-
-def products_of(request: MapRequest) -> list[Product]:
-    """What is asked for, in the order of `PRODUCTS`. Raises ParameterError for settings that are impossible."""
-    makers: dict[str, Callable[[MapRequest], Product]] = {
-        "bands": BandsProduct.of,
-        "indices": IndicesProduct.of,
-        "fit": FitProduct.of,
-        "unmix": UnmixProduct.of,
-        "match": MatchProduct.of,
-    }
-    return [makers[name](request) for name in PRODUCTS if name in request.wanted and name in makers]
-
-
-_BAND_COLUMNS = {
+BAND_LAYERS = {
     "bc{}_nm": ("center_nm", "centre of the {} nm band", "nm"),
     "bc{}_sigma_nm": ("center_sigma_nm", "its standard error", "nm"),
     "bc{}_systematic_nm": ("center_systematic_nm", "half its range over continua", "nm"),
@@ -73,6 +61,19 @@ _BAND_COLUMNS = {
     "bas{}": ("asymmetry", "asymmetry of the {} nm band", "1"),
     "bas{}_sigma": ("asymmetry_sigma", "its standard error", "1"),
 }
+"""Name of a layer of a band, with the attribute of `band_arrays` that it holds, its title and its unit."""
+
+
+def products_of(request: MapRequest) -> list[Product]:
+    """What is asked for, in the order of `PRODUCTS`. Raises ParameterError for settings that are impossible."""
+    makers: dict[str, Callable[[MapRequest], Product]] = {
+        "bands": BandsProduct.of,
+        "indices": IndicesProduct.of,
+        "fit": FitProduct.of,
+        "unmix": UnmixProduct.of,
+        "match": MatchProduct.of,
+    }
+    return [makers[name](request) for name in PRODUCTS if name in request.wanted and name in makers]
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +95,7 @@ class BandsProduct(Product):
         for band in BANDS:
             result += [
                 Layer(name.format(band.key), text.format(band.key), unit)
-                for name, (_, text, unit) in _BAND_COLUMNS.items()
+                for name, (_, text, unit) in BAND_LAYERS.items()
             ]
             result.append(Layer(f"band{band.key}_continuum", "continuum that was used", meanings=tuple(CONTINUA)))
             result.append(Layer(f"band{band.key}_status", "whether there is a band, or why not", meanings=STATUSES))
@@ -111,7 +112,7 @@ class BandsProduct(Product):
         result = band_arrays(wavelength_nm, reflectance, continuum_name=self.continuum, smoothing=smoothing)
         values: dict[str, Any] = {}
         for key, band in result.bands.items():
-            values |= {name.format(key): getattr(band, attribute) for name, (attribute, _, _) in _BAND_COLUMNS.items()}
+            values |= {name.format(key): getattr(band, attribute) for name, (attribute, _, _) in BAND_LAYERS.items()}
             values[f"band{key}_continuum"] = np.where(np.isfinite(band.center_nm), band.continuum, NO_CODE)
             values |= {f"band{key}_status": band.status, f"band{key}_note": band.note}
         return values
@@ -129,14 +130,12 @@ class IndicesProduct(Product):
 
     @property
     def layers(self) -> Sequence[Layer]:
-        from lunarsci.spectra.indices import INDICES, STATUSES
-
         result = []
         for name, index in INDICES.items():
             unit = {"-": "1", "wt %": "%", "1/µm": "um-1"}[index.unit]
             result += [Layer(name, index.title, unit), Layer(f"{name}_sigma", "its standard error", unit)]
             result.append(Layer(f"{name}_interpolation", "what another interpolation of channels differs by", unit))
-            result.append(Layer(f"{name}_status", f"whether there is {index.title}", meanings=STATUSES))
+            result.append(Layer(f"{name}_status", f"whether there is {index.title}", meanings=INDEX_STATUSES))
         return result
 
     @property

@@ -1,4 +1,4 @@
-"""What every format reader hands over, and its units: what a name says, what the values allow, and which of them holds.
+"""The table of a file of spectra, as every reader of a format makes it, and the units of its columns.
 
 Readers give named columns with the units the file states, before any rule is applied. The file's word on a unit wins
 where the values do not contradict it; else the caller's; else, for wavelengths, the values decide and a LunarSciWarning

@@ -41,9 +41,11 @@ FORMATS = (".gif", ".mp4")
 MOST_FRAMES, PER_SECOND = 120, 12
 WIDTH_IN, HEIGHT_IN, DPI = 9.6, 5.4, 90
 MARGIN_M = 1.8
-# Of the 256 colours of a GIF some stay free, one of them for pixels that do not change.
+"""Ground that is shown beyond the paths. [m]"""
 GREYS, COLORS, VIVID = 80, 160, 30
+"""Of the 256 colours of a GIF; some stay free, one of them for pixels that do not change."""
 INSETS = ("tilt_deg", "slip_ratio")
+"""Quantities that are plotted beside the map."""
 
 
 def check_format(target: Path) -> None:

@@ -1,4 +1,4 @@
-"""Ground finer than a coarse grid: drawn by the roughness of the Moon by scale, or measured, as patches of fine nodes.
+"""Ground between the nodes of a coarse map: roughness drawn by the scale law of the Moon, and patches of finer nodes.
 
 A map from orbit shows no ground between its nodes, and a rover meets it. Differences of lunar heights over a distance l
 have the variance c l^(2 H), and medians of slope and exponent are known for maria and highlands down to 17 m. That the
@@ -7,7 +7,6 @@ as a map that may be smoothed can. What a smooth surface through nodes of that s
 laid on nodes as close as a wheel is large; how rough it is changes from place to place by what is not known of it.
 """
 
-import dataclasses
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -31,7 +30,7 @@ MARIA, HIGHLANDS = (2.0, 0.76), (7.5, 0.95)
 """Median slope of the ground over 17 m [deg], and median Hurst exponent [-]: Rosenburg et al. (2011), as above."""
 WITHIN_KIND = 0.45
 """Standard deviation of ln of the size of differences within maria or highlands; assumed."""
-OF_A_MAP, DEGREES = 0.5, 4.0
+MAP_SD, MAP_DEGREES = 0.5, 4.0
 """How well a map tells it: standard deviation of a Student law with so many degrees of freedom. Maps are smoothed, and
 one that is level throughout tells little; assumed."""
 LAGS = (2, 4)
@@ -122,7 +121,7 @@ def with_unresolved(
     rms_at_one_m = math.sqrt(relief.at_one_m) * math.exp(rougher[0])
     deciding = (step_m / (STRANGE * rms_at_one_m)) ** (1.0 / relief.hurst)
     unresolved = Unresolved(terrain.spacing_m, NORMAL_MAD * float(np.median(np.abs(grain))), deciding)
-    return dataclasses.replace(finer, errors=errors), unresolved
+    return replace(finer, errors=errors), unresolved
 
 
 def unresolved_grain(
@@ -158,8 +157,8 @@ def roughness_of_map(terrain: Terrain) -> tuple[float, float]:
     density = -0.5 * away**2 / (apart**2 + WITHIN_KIND**2)
     sizes = [size for lag in LAGS if (size := _second_differences(terrain, lag, relief)) > 0]
     if sizes:
-        off = (away - float(np.mean(np.log(sizes)))) / OF_A_MAP
-        density -= 0.5 * (DEGREES + 1.0) * np.log1p(off**2 / DEGREES)
+        off = (away - float(np.mean(np.log(sizes)))) / MAP_SD
+        density -= 0.5 * (MAP_DEGREES + 1.0) * np.log1p(off**2 / MAP_DEGREES)
     weight = np.exp(density - density.max())
     mean = float(weight @ away / weight.sum())
     return mean, math.sqrt(float(weight @ (away - mean) ** 2 / weight.sum()))
@@ -202,7 +201,7 @@ def _finer(terrain: Terrain, rows: slice, columns: slice, factor: int) -> Terrai
         places = np.stack(np.meshgrid(finer_y, finer_x, indexing="ij"), axis=-1)
         laid = RegularGridInterpolator((y, x), soil[rows, columns], bounds_error=False, fill_value=None)
         soil = laid(places)
-    return dataclasses.replace(
+    return replace(
         terrain,
         x0_m=float(x[0]),
         y0_m=float(y[0]),

@@ -1,4 +1,4 @@
-"""What a number of the rover is worth: designs that differ in a few of them, on one mission and the same soils."""
+"""Designs of a rover that differ in a few numbers, compared by their drives on one mission and the same soils."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace

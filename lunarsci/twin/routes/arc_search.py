@@ -1,5 +1,7 @@
-"""Search for courses of arcs over a map of costs and clearances: a lattice of arcs, arcs that end exactly at a target,
-then a local refinement.
+"""Search for a path of arcs over a map: a lattice of arcs, a local refinement, and arcs that end it on the target.
+
+`search_ground` makes the map: at each node the distance from the nearest obstacle and the cost of a metre.
+`drive_arc` integrates both along an arc.
 """
 
 import math

@@ -70,7 +70,7 @@ def rotation_of(w: Any, x: Any, y: Any, z: Any) -> Any:
     )
 
 
-def swung(cos: Any, sin: Any, v: Any) -> Any:
+def rotate_y(cos: Any, sin: Any, v: Any) -> Any:
     """`v` turned about the y axis."""
     return (cos * v[0] + sin * v[2], v[1], cos * v[2] - sin * v[0])
 
@@ -110,16 +110,16 @@ def place_wheel(work: Any, rover: Any, w: Any, side: Any, lane: Any) -> None:
     angle = rocker + hung * choose(side > 0.0, body.joints[1], body.joints[2])
     spin = rocker_spin + hung * choose(side > 0.0, body.rates[1], body.rates[2])
     cos_s, sin_s = cosine(wheel.steer), sine(wheel.steer)
-    first = swung(cosine(rocker), sine(rocker), times((rover.bogie[0], side * rover.bogie[1], rover.bogie[2]), hung))
+    first = rotate_y(cosine(rocker), sine(rocker), times((rover.bogie[0], side * rover.bogie[1], rover.bogie[2]), hung))
     last = (rover.arms[w, 0] - offset * sin_s, rover.arms[w, 1] + offset * (cos_s - 1.0), rover.arms[w, 2])
-    last = swung(cosine(angle), sine(angle), last)
+    last = rotate_y(cosine(angle), sine(angle), last)
     pivot, hang = (0.0, side * rover.pivot_y, 0.0), plus(first, last)
     wheel.arm = seen_from(axes, plus(pivot, hang))
     wheel.center = plus(body.position, wheel.arm)
     wheel.swing = seen_from(axes, (side * hang[2], 0.0, -side * hang[0]))
     wheel.bogie_swing = seen_from(axes, (hung * last[2], 0.0, -hung * last[0]))
     forward = signed(1.0, wheel.rim)
-    wheel.axle = seen_from(axes, swung(cosine(angle), sine(angle), (-forward * sin_s, forward * cos_s, 0.0)))
+    wheel.axle = seen_from(axes, rotate_y(cosine(angle), sine(angle), (-forward * sin_s, forward * cos_s, 0.0)))
     by_rocker = turning((omega[0], omega[1] + rocker_spin, omega[2]), rocker_spin, first)
     by_bogie = turning((omega[0], omega[1] + spin, omega[2]), spin, last)
     wheel.acceleration = seen_from(axes, plus(cross(omega, cross(omega, pivot)), by_rocker, by_bogie))

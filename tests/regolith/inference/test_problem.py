@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from lunarsci.regolith.inference.problem import JointProblem, common_share, problem_of, shares_of
+from lunarsci.regolith.inference.problem import JointProblem, common_share, problem_of, shares_of, tail_of
 from lunarsci.regolith.prior import PARAMETERS, default_prior
 from lunarsci.regolith.states import WheelStates
 from lunarsci.regolith.wheel import read_wheel
@@ -58,3 +58,14 @@ def test_residuals_of_a_fit_with_many_parameters_count_at_most_four_fold(
     problem, shares = missed
     most = likeliest(shares.ravel(), 0.75 * shares.size)
     assert common_share(problem, CENTER, float(shares.size)) == pytest.approx(most, rel=1e-5)
+
+
+def test_tails_are_those_of_the_residuals_whatever_their_size() -> None:
+    """Of 2000 draws of Student's law the degrees are told to a tenth; few residuals leave the law before, with 10."""
+    random = np.random.default_rng(5)
+    for degrees in (3.0, 6.0):
+        drawn = random.standard_t(degrees, 2000)
+        assert tail_of(drawn) == pytest.approx(degrees, rel=0.15)
+        assert tail_of(0.01 * drawn) == pytest.approx(tail_of(drawn), rel=1e-6)
+    assert tail_of(random.standard_normal(2000)) > 20.0
+    assert 8.0 < tail_of(random.standard_normal(3)) < 15.0
