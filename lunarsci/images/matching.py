@@ -26,8 +26,8 @@ HALF_PX = 3
 (`tests/benchmarks/scenes.py`: NavCam 2, PanCam 1) of 5, 7 and 9."""
 STEPS = 5
 SMALL_STEP_PX = 0.01
-FARTHEST_PX = 1.0
-"""A window that moves farther from where it began is at another one of the whole disparities that were compared."""
+FARTHEST_PX = 0.9
+"""A window that moves farther from where it began has found something else; assumed."""
 STEEPEST = 2 / 3
 """Largest change of disparity from pixel to pixel of the left picture: 1 from pixel to pixel between both pictures
 (Pollard et al. 1985, Perception 14, 449, 10.1068/p140449). [px/px]"""

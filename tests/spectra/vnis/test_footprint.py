@@ -72,7 +72,7 @@ def expected(cube: np.ndarray, limit: float) -> Expected:
         found.negative.append(sum(value <= 0 for value in values))
         good = [value for value in values if math.isfinite(value) and value > 0]
         found.count.append(len(good))
-        enough = band not in too_many and len(good) >= max(1, len(lit) / 2)
+        enough = band not in too_many and len(good) >= max(1, 0.95 * len(lit))
         found.mean.append(math.fsum(good) / len(good) if enough else math.nan)
         found.scatter.append((statistics.stdev(good) if len(good) > 1 else 0.0) if enough else math.nan)
         if band >= FIRST_OVERLAP:
