@@ -47,6 +47,10 @@ _SLOPES_OF = 1_000_000
 """Nodes at most that the median slope is taken of."""
 
 
+NETCDF = (b"CDF", b"\x89HDF")
+"""How files of netCDF 3 and 4 begin."""
+
+
 def read_grid(
     path: str | Path,
     layers: Collection[str] = (),
@@ -249,10 +253,6 @@ def _load(path: Path, keys: set[str], unread: tuple[str, ...]) -> dict[str, Any]
     complex_ones = (key for key, array in arrays.items() if np.iscomplexobj(array))
     refuse((f"{key} has complex numbers; write real ones" for key in complex_ones), "", DataError)
     return arrays
-
-
-NETCDF = (b"CDF", b"\x89HDF")
-"""How files of netCDF 3 and 4 begin."""
 
 
 def is_netcdf(path: Path) -> bool:

@@ -32,6 +32,18 @@ FEWEST_POINTS = 5
 """Points of a board that a picture must show: four give a homography (Zhang 2000), a fifth tests it."""
 
 
+FEWEST_VIEWS = 4
+"""Pictures below which nothing is calibrated: three determine a planar problem (Zhang 2000), a fourth tests it."""
+FEWEST_TILT_DEG = 10.0
+"""Angle between the farthest normals of the board below which focal length and distance are the same; assumed."""
+ROUNDS = 3
+RIM = 24
+"""Places on the rim of a circle from which the middle of its picture is computed: their polygon misses the ellipse
+alike on all sides."""
+Shown: TypeAlias = str | Path | InputFile
+"""A picture, by its name or read; it is handed on as it is."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoardTarget:
     """A flat board of points.
@@ -161,16 +173,6 @@ def check_board(pictures: Sequence[Picture], sightings: Sequence[Sighting | None
                     f"{picture.source.name}: shows a chessboard of {other[0]} x {other[1]}, not {size[0]} x {size[1]}; "
                     "a chessboard's size is that of its inner corners, squares less one each way"
                 )
-
-
-FEWEST_VIEWS = 4
-"""Pictures below which nothing is calibrated: three determine a planar problem (Zhang 2000), a fourth tests it."""
-FEWEST_TILT_DEG = 10.0
-"""Angle between the farthest normals of the board below which focal length and distance are the same; assumed."""
-ROUNDS = 3
-RIM = 24
-"""Places on the rim of a circle from which the middle of its picture is computed: their polygon misses the ellipse
-alike on all sides."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -504,10 +506,6 @@ def _whole(problem: _Adjustment, x: FloatArray, covariance: FloatArray) -> Float
         covariance = small @ covariance @ small.T
     whole[np.ix_(places, places)] = covariance
     return whole
-
-
-Shown: TypeAlias = str | Path | InputFile
-"""A picture, by its name or read; it is handed on as it is."""
 
 
 def pictures_matching(patterns: Sequence[str], what: str = "pictures") -> list[str]:

@@ -22,6 +22,16 @@ from lunarsci.images.elevation import ElevationModel
 from lunarsci.images.gridding import COVERED
 from lunarsci.io.inputs import read_input, read_json
 
+FLOOR_SHARE = 0.6
+"""Share of the wheel's width, about the middle, that is taken as floor: walls slide in at the sides; assumed."""
+RESOLUTION_OFF = 0.3
+"""Relative error of the resolution; assumed."""
+FEWEST_SHAMS = 8
+CELL_SHARE = 0.3
+"""Side of the cells whose mean heights stand for the ground, as a share of the wheel's width; assumed."""
+PRIOR_SHAMS = 4.0
+"""Weight of the stated error beside shams, as so many of them; assumed."""
+
 
 class Unrolled(NamedTuple):
     """Nodes about a line, by their way along it and their distance to the left of it, in the order of the way. (n,)"""
@@ -207,17 +217,6 @@ def kriged(
     weights = np.linalg.solve(system, target)[:size]
     variance = 2 * weights @ between - weights @ ground @ weights - inner + weights @ noise @ weights
     return float(weights @ cells.height), max(float(variance), 0.0)
-
-
-FLOOR_SHARE = 0.6
-"""Share of the wheel's width, about the middle, that is taken as floor: walls slide in at the sides; assumed."""
-RESOLUTION_OFF = 0.3
-"""Relative error of the resolution; assumed."""
-FEWEST_SHAMS = 8
-CELL_SHARE = 0.3
-"""Side of the cells whose mean heights stand for the ground, as a share of the wheel's width; assumed."""
-PRIOR_SHAMS = 4.0
-"""Weight of the stated error beside shams, as so many of them; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
