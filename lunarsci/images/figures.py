@@ -19,7 +19,7 @@ from lunarsci.images.matching import MATCHED, REASONS, StereoMatches
 from lunarsci.images.rocks import RockSurvey
 from lunarsci.images.tracks import TrackDepths, TrackProfile, places_on, unrolled
 
-MARK, BAND = "#D55E00", "#9fb4c0"
+MARK, BAND = COLORS[1], "#9fb4c0"
 
 
 REASON_COLOURS = ("#ffffff", "#bcc4c8", "#f6e27a", "#000000", "#e08f3c", "#7a1f8f", "#3f74c9", "#003d2e")

@@ -11,12 +11,11 @@ import itertools
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from statistics import NormalDist
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from lunarsci.arrays import SIGNIFICANCE, BoolArray, FloatArray, IndexArray, robust_fit, robust_scatter
+from lunarsci.arrays import BoolArray, FloatArray, IndexArray, robust_fit, robust_scatter
 from lunarsci.errors import ParameterError
 from lunarsci.images.elevation import ElevationModel
 from lunarsci.images.gridding import COVERED
@@ -26,6 +25,8 @@ FLOOR_SHARE = 0.6
 """Share of the wheel's width, about the middle, that is taken as floor: walls slide in at the sides; assumed."""
 RESOLUTION_OFF = 0.3
 """Relative error of the resolution; assumed."""
+CLEAR = 3.0
+"""Standard errors by which a track must stand out where its middle is looked for; assumed."""
 FEWEST_SHAMS = 8
 CELL_SHARE = 0.3
 """Side of the cells whose mean heights stand for the ground, as a share of the wheel's width; assumed."""
@@ -391,8 +392,7 @@ def track_middles(survey: _Survey, profile: TrackProfile, search_m: float, lengt
 
 
 def _stretch_middle(part: Unrolled, profile: TrackProfile, steps: FloatArray) -> float:
-    """Where a box of the wheel's width explains most of the profile; NaN where it is no deeper than `SIGNIFICANCE` of
-    stretches without a track are at their best place, with ten independent nodes."""
+    """Where a box of the wheel's width explains most of the profile, NaN where it does not stand out."""
     searched = float(np.abs(steps).max())
     part = part.only(np.abs(part.across) <= profile.ground_m[1] + searched)
     outside = np.abs(part.across) > 0.5 * profile.width_m + searched
@@ -405,8 +405,7 @@ def _stretch_middle(part: Unrolled, profile: TrackProfile, steps: FloatArray) ->
     costs, depths = zip(*(_misfit(across - step, rest, profile.width_m) for step in steps), strict=True)
     best = int(np.argmin(costs))
     scatter = robust_scatter(rest[outside])
-    clear = NormalDist().inv_cdf(1 - SIGNIFICANCE / len(steps))
-    if not depths[best] > clear * scatter / math.sqrt(10.0) or best in (0, len(steps) - 1):
+    if not depths[best] > CLEAR * scatter / math.sqrt(10.0) or best in (0, len(steps) - 1):
         return math.nan
     before, here, after = costs[best - 1 : best + 2]
     bend = before - 2 * here + after
