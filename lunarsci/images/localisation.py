@@ -464,10 +464,10 @@ def templates(
         peak = _peak(np.asarray(cv2.matchTemplate(field, patch, cv2.TM_CCOEFF_NORMED)), patch.size, least)
         if peak is not None:
             table.append((u, v, u + peak[0] - reach_px[0] - 1, v + peak[1] - reach_px[1] - 1, *peak[2:]))
-    start, goal, correlation, spread = np.split(np.array(table, dtype=float).reshape(-1, 8), (2, 4, 5), axis=1)
+    start, goal, correlation, errors = np.split(np.array(table, dtype=float).reshape(-1, 8), (2, 4, 5), axis=1)
     sources, apart = (_nearest(values, start) for values in (seen.place, seen.apart))
     sides = [_side(station.matches, rig, at) for station, at in ((near, sources), (far, goal + apart))]
-    ties = TiePoints(*sides[0], *sides[1], spread[:, [0, 1, 1, 2]].reshape(-1, 2, 2), correlation[:, 0])
+    ties = TiePoints(*sides[0], *sides[1], errors[:, [0, 1, 1, 2]].reshape(-1, 2, 2), correlation[:, 0])
     return TiePoints(*(values[np.isfinite(ties.near_disparity)] for values in ties))
 
 

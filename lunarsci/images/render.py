@@ -620,8 +620,8 @@ def _rocks_in(world: World, camera: Camera, pose: Pose, first: float, last: floa
     reach = world.rocks[:, 3:6].max(axis=1, initial=0.0)
     depth = np.maximum(middle[:, 2], 1e-9)
     row = camera.project(np.column_stack([middle[:, :2], depth]))[:, 1]
-    spread = 2 * camera.fy_px * reach / np.maximum(depth - reach, 1e-3)
-    apart = (depth > 3 * reach) & ((row + spread < first) | (row - spread > last))
+    margin = 2 * camera.fy_px * reach / np.maximum(depth - reach, 1e-3)
+    apart = (depth > 3 * reach) & ((row + margin < first) | (row - margin > last))
     return np.flatnonzero(~apart & (middle[:, 2] > -reach))
 
 

@@ -268,8 +268,8 @@ def calibrate_cameras(
     Both are files, or a pattern; pictures of both cameras belong together by the numbers in their names, else in their
     order. Raises RequestError, ParameterError, and DataError where the board is seen too seldom or from one side.
     """
-    asked = request_of(CalibrateCamerasRequest, request, options)
-    target, steps = board_target(asked), progress or (lambda *_: None)
+    request = request_of(CalibrateCamerasRequest, request, options)
+    target, steps = board_target(request), progress or (lambda *_: None)
     first = pictures_matching([pictures]) if isinstance(pictures, str) else pictures
     second = pictures_matching([right], "right") if isinstance(right, str) else right
     sides = [list(side) for side in (of_moments(first, second) if second else (first,))]
@@ -285,16 +285,16 @@ def calibrate_cameras(
     names = [[picture.source.name for picture in side] for side in shown]
     moments = [(tuple(s[k] for s in seen), tuple(n[k] for n in names)) for k in range(len(sides[0]))]
     used = [(view, files) for view, files in moments if any(s is not None for s in view)]
-    fit = calibrate([v for v, _ in used], target, [side[0].size for side in shown], distortion=asked.distortion)
+    fit = calibrate([v for v, _ in used], target, [side[0].size for side in shown], distortion=request.distortion)
     steps(count, count)
     return CalibratedCameras(
-        calibration=_with_scale(fit, asked.square_error),
+        calibration=_with_scale(fit, request.square_error),
         used=tuple(files for _, files in used),
         points={
             name: None if s is None else len(s.numbers)
             for side, sightings in zip(names, seen, strict=True) for name, s in zip(side, sightings, strict=True)
         },
-        request=asked,
+        request=request,
         inputs={p.source.name: p.source.sha256 for side in shown for p in side},
     )  # fmt: skip
 
