@@ -18,11 +18,12 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray, robust_fit, robust_scatter
 from lunarsci.errors import ParameterError
 from lunarsci.images.elevation import ElevationModel
-from lunarsci.images.gridding import COVERED
 from lunarsci.io.inputs import read_input, read_json
 
 FLOOR_SHARE = 0.6
 """Share of the wheel's width, about the middle, that is taken as floor: walls slide in at the sides; assumed."""
+COVERED = 0.5, 0.3
+"""Share of the nodes of the floor, and of the ground at each side, that must be known; assumed."""
 RESOLUTION_OFF = 0.3
 """Relative error of the resolution; assumed."""
 CLEAR = 3.0
@@ -312,10 +313,10 @@ def _one_depth(survey: "_Survey", nodes: Unrolled, middle: float, profile: Track
     floor = np.abs(left) <= profile.floor_m
     sides = [(sign * left >= inner) & (sign * left <= outer) for sign in (-1.0, 1.0)]
     whole = survey.window_m / survey.model.spacing_m**2
-    if floor.sum() < COVERED * whole * 2 * profile.floor_m:
+    if floor.sum() < COVERED[0] * whole * 2 * profile.floor_m:
         return np.nan, np.nan, "floor not covered"
     for side, name in zip(sides, ("right", "left"), strict=True):
-        if side.sum() < COVERED * whole * profile.strip_m:
+        if side.sum() < COVERED[1] * whole * profile.strip_m:
             return np.nan, np.nan, f"ground to the {name} not covered"
     alike = max(1.0, (survey.resolution_m / survey.model.spacing_m) ** 2)
     cells = cells_of(nodes, sides[0] | sides[1], survey.cell_m, alike)
