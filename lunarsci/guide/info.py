@@ -33,20 +33,19 @@ from lunarsci.io.inputs import (
 )
 from lunarsci.io.tables import read_csv_table, separator_of
 from lunarsci.names import some_of
+from lunarsci.registry import FORMATS, KINDS, TAKEN_BY, WHEEL
 from lunarsci.regolith.columns import QUANTITIES, of_name
 from lunarsci.regolith.prior import UNITS, read_prior
 from lunarsci.regolith.soil import read_soil
 from lunarsci.regolith.states import read_state_table
 from lunarsci.regolith.wheel import left_to_defaults, read_wheel
-from lunarsci.registry import FORMATS, KINDS, TAKEN_BY, WHEEL
 from lunarsci.result import Doubt, MadeFrom, Result
 from lunarsci.rovers import RoverDescription, read_rover, rover_names
 from lunarsci.spectra.readers.arrangements import header_channels
 from lunarsci.spectra.readers.columns import is_wavelength
 from lunarsci.spectra.readers.dispatch import read_spectra, recognised
-from lunarsci.spectra.readers.table import MAX_PERCENT
 from lunarsci.spectra.readers.pds import is_pds_label, read_pds_label
-
+from lunarsci.spectra.readers.table import MAX_PERCENT
 
 CAMERA_LABEL = re.compile(r"^\s*MODEL_COMPONENT_1\s*=|_point_observe_vector>", re.MULTILINE)
 MAP_LABEL = re.compile(r"^\s*OBJECT\s*=\s*\"?IMAGE_MAP_PROJECTION", re.MULTILINE)
@@ -268,6 +267,8 @@ def kind_of(file: InputFile) -> str:
         return _kind_of_json(file)
     if is_pds_label(file):
         return "cube" if read_pds_label(file).images else "spectra"
+    if (format := recognised(file, text.lstrip())) and FORMATS[format].spectra_alone:
+        return "spectra"
     return _kind_of_table(file.name, text, suffix)
 
 
@@ -686,5 +687,3 @@ CONTENTS: Mapping[str, Callable[[InputFile], Mapping[str, Any]]] = {
     "result": _result,
 }  # fmt: skip
 """What a reader says of a file, by its kind."""
-    if (format := recognised(file, text.lstrip())) and FORMATS[format].spectra_alone:
-        return "spectra"

@@ -23,6 +23,30 @@ EVEN = 1e-4
 """How evenly nodes must be spaced, as a share of the spacing; assumed."""
 
 
+METRES = {
+    1.0: ("m", "metre", "meter"),
+    1e3: ("km", "kilometre", "kilometer"),
+    0.1: ("dm", "decimetre", "decimeter"),
+    0.01: ("cm", "centimetre", "centimeter"),
+    1e-3: ("mm", "millimetre", "millimeter"),
+    0.3048: ("ft", "foot", "feet", "foot international", "international foot", "international feet", "ft intl"),
+    1200.0 / 3937.0: ("us ft", "ft us", "ftus", "usft", "us survey foot", "us survey feet", "survey foot", "foot us"),
+}
+"""Metres in a unit, exactly, and its names in small letters (Thompson & Taylor 2008, NIST Special Publication 811, B.6
+for feet)."""
+NO_UNIT = ("", "none", "n a", "unk", "unknown", "null", "unspecified")
+"""What stands for no unit."""
+MARKERS = (
+    *(-9999.0, -99999.0, -999999.0, 9999.0, 99999.0, 999999.0),
+    *(-32768.0, -32767.0, -32766.0, 32767.0, 65535.0, -2147483648.0, 2147483647.0),
+)
+"""Numbers that stand for no height: -9999 of ESRI's grids and longer ones, the special pixels of ISIS for 16 bits, and
+the ends of integers of 16 and 32 bits."""
+USUALLY = "are without data, as such numbers are usually"
+BEYOND = 1e19
+"""No height is larger: -3.4e38, 1e20, 1.7e38 and -1e32 stand for none. [m]"""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HeightGrid:
     """What a file of heights says.
@@ -76,21 +100,6 @@ def spacing_of(x: FloatArray, y: FloatArray) -> float:
     return steps[0]
 
 
-METRES = {
-    1.0: ("m", "metre", "meter"),
-    1e3: ("km", "kilometre", "kilometer"),
-    0.1: ("dm", "decimetre", "decimeter"),
-    0.01: ("cm", "centimetre", "centimeter"),
-    1e-3: ("mm", "millimetre", "millimeter"),
-    0.3048: ("ft", "foot", "feet", "foot international", "international foot", "international feet", "ft intl"),
-    1200.0 / 3937.0: ("us ft", "ft us", "ftus", "usft", "us survey foot", "us survey feet", "survey foot", "foot us"),
-}
-"""Metres in a unit, exactly, and its names in small letters (Thompson & Taylor 2008, NIST Special Publication 811, B.6
-for feet)."""
-NO_UNIT = ("", "none", "n a", "unk", "unknown", "null", "unspecified")
-"""What stands for no unit."""
-
-
 def metres_in(unit: str) -> float | None:
     """Metres in a unit of length, by one of its usual names; None where it is the name of none.
 
@@ -106,17 +115,6 @@ def metres_in(unit: str) -> float | None:
         if plain in names or plain.removesuffix("s") in names:
             return metres
     raise ParameterError(f"'{unit}' is no unit of length that is known; {one_of(unit, get_args(HeightUnit))}")
-
-
-MARKERS = (
-    *(-9999.0, -99999.0, -999999.0, 9999.0, 99999.0, 999999.0),
-    *(-32768.0, -32767.0, -32766.0, 32767.0, 65535.0, -2147483648.0, 2147483647.0),
-)
-"""Numbers that stand for no height: -9999 of ESRI's grids and longer ones, the special pixels of ISIS for 16 bits, and
-the ends of integers of 16 and 32 bits."""
-USUALLY = "are without data, as such numbers are usually"
-BEYOND = 1e19
-"""No height is larger: -3.4e38, 1e20, 1.7e38 and -1e32 stand for none. [m]"""
 
 
 def without_markers(heights: FloatArray) -> tuple[FloatArray, str]:

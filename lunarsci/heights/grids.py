@@ -47,6 +47,10 @@ _SLOPES_OF = 1_000_000
 """Nodes at most that the median slope is taken of."""
 
 
+NETCDF = (b"CDF", b"\x89HDF")
+"""How files of netCDF 3 and 4 begin."""
+
+
 def read_grid(
     path: str | Path,
     layers: Collection[str] = (),
@@ -76,18 +80,18 @@ def read_grid(
     another coordinate system than `onto` are brought onto that. Raises DataError, ParameterError for another `unit`.
     """
     file, end = Path(path), Path(path).suffix.lower()
-    asked, how = (file, tuple(layers), tuple(unread)), dict[str, Any](onto=onto, values=values)
+    arguments, how = (file, tuple(layers), tuple(unread)), dict[str, Any](onto=onto, values=values)
     try:
         if is_netcdf(file):
             grid = read_netcdf(file, **how)
         elif (end in TEXTS or end not in (".npz", *DRIVERS)) and is_ascii_grid(file):
-            grid = read_ascii(*asked, **how)
+            grid = read_ascii(*arguments, **how)
         elif end in DRIVERS:
-            grid = grid_of_raster(read_height_raster(file, asked[1]), **how)
+            grid = grid_of_raster(read_height_raster(file, arguments[1]), **how)
         elif end not in TEXTS:
-            grid = _read_archive(*asked)
+            grid = _read_archive(*arguments)
         else:
-            grid = (read_table if end == ".csv" else read_nodes)(*asked, **how)
+            grid = (read_table if end == ".csv" else read_nodes)(*arguments, **how)
         grid = grid if values else _without_fill(_in_metres(grid, unit))
         _check_heights(grid.height_m)
     except ImportError as error:
@@ -249,10 +253,6 @@ def _load(path: Path, keys: set[str], unread: tuple[str, ...]) -> dict[str, Any]
     complex_ones = (key for key, array in arrays.items() if np.iscomplexobj(array))
     refuse((f"{key} has complex numbers; write real ones" for key in complex_ones), "", DataError)
     return arrays
-
-
-NETCDF = (b"CDF", b"\x89HDF")
-"""How files of netCDF 3 and 4 begin."""
 
 
 def is_netcdf(path: Path) -> bool:

@@ -10,7 +10,6 @@ import re
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import product
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
@@ -26,10 +25,20 @@ from lunarsci.names import some_of
 from lunarsci.ranges import refuse
 
 Kind = Literal["chessboard", "circles", "asymmetric-circles", "charuco"]
-NEAR = 0.4
-"""Half width of the window about a corner, as a share of the distance to the next, below a half; assumed."""
 FEWEST_POINTS = 5
 """Points of a board that a picture must show: four give a homography (Zhang 2000), a fifth tests it."""
+
+
+FEWEST_VIEWS = 4
+"""Pictures below which nothing is calibrated: three determine a planar problem (Zhang 2000), a fourth tests it."""
+FEWEST_TILT_DEG = 10.0
+"""Angle between the farthest normals of the board below which focal length and distance are the same; assumed."""
+ROUNDS = 3
+RIM = 24
+"""Places on the rim of a circle from which the middle of its picture is computed: their polygon misses the ellipse
+alike on all sides."""
+Shown: TypeAlias = str | Path | InputFile
+"""A picture, by its name or read; it is handed on as it is."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,7 +133,8 @@ def _chessboard(eight: npt.NDArray[np.uint8], size: tuple[int, int], patient: bo
         return None
     start = np.asarray(corners, dtype=np.float32).reshape(size[1], size[0], 2)
     apart = min(float(np.linalg.norm(np.diff(start, axis=axis), axis=-1).min()) for axis in (0, 1))
-    half = (max(2, int(NEAR * apart)),) * 2
+    # A window about a corner ends a pixel before the middle between it and the next.
+    half = (max(2, int(0.5 * apart) - 1),) * 2
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4)
     return np.asarray(cv2.cornerSubPix(eight, start.reshape(-1, 1, 2), half, (-1, -1), stop), float).reshape(-1, 2)
 
@@ -143,34 +153,6 @@ def alike_turned(left: Sighting, right: Sighting) -> Sighting:
     """The right picture's sighting numbered as the left one's: a board that looks alike upside down may be turned."""
     ways = [s.pixels[-1] - s.pixels[0] for s in (left, right)]
     return right if float(ways[0] @ ways[1]) >= 0 else Sighting(right.numbers, right.pixels[::-1])
-
-
-def check_board(pictures: Sequence[Picture], sightings: Sequence[Sighting | None], target: BoardTarget) -> None:
-    """Raise DataError where most pictures do not show the chessboard that was stated, and one shows another one."""
-    without = [p for p, s in zip(pictures, sightings, strict=True) if s is None]
-    if target.kind != "chessboard" or len(without) < 0.5 * len(pictures):
-        return
-    size = target.columns, target.rows
-    near = [(size[0] + a, size[1] + b) for a, b in product((2, 1, 0, -1, -2), repeat=2) if a or b]
-    near = sorted((other for other in near if min(other) >= 3), key=math.prod, reverse=True)
-    for picture in without[:2]:
-        eight = eight_bits(picture)
-        for other in near:
-            if _chessboard(eight, other, False) is not None:
-                raise DataError(
-                    f"{picture.source.name}: shows a chessboard of {other[0]} x {other[1]}, not {size[0]} x {size[1]}; "
-                    "a chessboard's size is that of its inner corners, squares less one each way"
-                )
-
-
-FEWEST_VIEWS = 4
-"""Pictures below which nothing is calibrated: three determine a planar problem (Zhang 2000), a fourth tests it."""
-FEWEST_TILT_DEG = 10.0
-"""Angle between the farthest normals of the board below which focal length and distance are the same; assumed."""
-ROUNDS = 3
-RIM = 24
-"""Places on the rim of a circle from which the middle of its picture is computed: their polygon misses the ellipse
-alike on all sides."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -355,10 +337,9 @@ def _check_count(views: Sequence[BoardView], cameras: int) -> None:
     sides = ("left ", "right ") if cameras > 1 else ("",)
     counts = {f"{side}pictures": sum(v[k] is not None for v in views) for k, side in enumerate(sides)}
     counts["moments of both cameras"] = sum(None not in view for view in views)
-    few = (f"{count} {what}" for what, count in counts.items() if count < FEWEST_VIEWS)
-    refuse(
-        (f"the board was found in {one}; {FEWEST_VIEWS} or more are needed, better 12" for one in few), "", DataError
-    )
+    few = (f"{count} {what}; {FEWEST_VIEWS} or more" for what, count in counts.items() if count < FEWEST_VIEWS)
+    hint = "better 12; a chessboard's size is that of its inner corners, squares less one each way"
+    refuse((f"the board was found in {one} are needed, {hint}" for one in few), "", DataError)
 
 
 def _tilt_deg(poses: FloatArray) -> float:
@@ -504,10 +485,6 @@ def _whole(problem: _Adjustment, x: FloatArray, covariance: FloatArray) -> Float
         covariance = small @ covariance @ small.T
     whole[np.ix_(places, places)] = covariance
     return whole
-
-
-Shown: TypeAlias = str | Path | InputFile
-"""A picture, by its name or read; it is handed on as it is."""
 
 
 def pictures_matching(patterns: Sequence[str], what: str = "pictures") -> list[str]:

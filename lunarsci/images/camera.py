@@ -26,6 +26,16 @@ NEWTON_STEPS = 30
 CONVERGED = 1e-12
 
 
+RELATIVE = (*(f"rotation_{axis}_rad" for axis in "xyz"), *(f"translation_{axis}_m" for axis in "xyz"))
+PARAMETERS = (*(f"left_{n}" for n in INTRINSICS), *(f"right_{n}" for n in INTRINSICS), *RELATIVE)
+"""What a rig depends on: rows and columns of its covariance."""
+MAST_M = 1.5
+"""Height of a camera whose rig does not say: about that of the mast cameras of MER, 1.54 m (Maki et al. 2003,
+10.1029/2003JE002077). [m]"""
+PIXEL_MTF = 2 / math.pi
+"""Contrast that a square pixel leaves at half a cycle a pixel. [-]"""
+
+
 class Projection(NamedTuple):
     """Pixels (n, 2) with their derivatives by the points' pose (n, 2, 6), rotation first, and intrinsics (n, 2, 9)."""
 
@@ -282,16 +292,6 @@ def rotation_of(vector: npt.ArrayLike) -> FloatArray:
 def vector_of(rotation: npt.ArrayLike) -> FloatArray:
     """The inverse of `rotation_of`. (3, 3) to (3,) [rad]"""
     return np.asarray(Rotation.from_matrix(np.asarray(rotation, dtype=float)).as_rotvec())
-
-
-RELATIVE = (*(f"rotation_{axis}_rad" for axis in "xyz"), *(f"translation_{axis}_m" for axis in "xyz"))
-PARAMETERS = (*(f"left_{n}" for n in INTRINSICS), *(f"right_{n}" for n in INTRINSICS), *RELATIVE)
-"""What a rig depends on: rows and columns of its covariance."""
-MAST_M = 1.5
-"""Height of a camera whose rig does not say: about that of the mast cameras of MER, 1.54 m (Maki et al. 2003,
-10.1029/2003JE002077). [m]"""
-PIXEL_MTF = 2 / math.pi
-"""Contrast that a square pixel leaves at half a cycle a pixel. [-]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

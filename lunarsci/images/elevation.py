@@ -25,6 +25,21 @@ from lunarsci.heights.grid import ERROR_LAYERS
 from lunarsci.heights.grids import check_relief, geotiff_bytes, read_grid
 from lunarsci.ranges import refuse
 
+SOIL = (
+    "stiffness_kpa_m_n", "sinkage_exponent", "sinkage_exponent_slip", "cohesion_pa", "friction_angle_deg",
+    "shear_modulus_mm", "external_friction_angle_deg", "lateral_modulus_mm",
+)  # fmt: skip
+"""Soil that a terrain may carry beside its heights, and which is not read here."""
+RELAID = 3
+"""How often models are laid onto the grid, each time shifted by what was found before."""
+REWEIGHTED = 5
+BETWEEN_NODES = 0.1
+"""Error of a position that heights on a grid tell, as a share of its spacing; assumed."""
+BLOCK = 12
+"""Nodes along a side of the blocks whose gradients are compared; assumed."""
+COLUMNS = ("offset", "x_m", "y_m")
+"""What a model may be off by: its common error, in units of it, and its position."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ElevationModel:
@@ -163,13 +178,6 @@ def read_elevation(path: str | Path) -> ElevationModel:
     )
 
 
-SOIL = (
-    "stiffness_kpa_m_n", "sinkage_exponent", "sinkage_exponent_slip", "cohesion_pa", "friction_angle_deg",
-    "shear_modulus_mm", "external_friction_angle_deg", "lateral_modulus_mm",
-)  # fmt: skip
-"""Soil that a terrain may carry beside its heights, and which is not read here."""
-
-
 def _layers(model: ElevationModel) -> dict[str, FloatArray]:
     return {key: model.layer(key) for key in ("height_m", *ERROR_LAYERS) if getattr(model, key) is not None}
 
@@ -188,17 +196,6 @@ def elevation_geotiff(model: ElevationModel) -> bytes:
     """The model as GeoTIFF, heights first. Raises ParameterError without rasterio."""
     place = model.x0_m, model.y0_m, model.spacing_m
     return geotiff_bytes(_layers(model), place, synthetic=model.synthetic)
-
-
-RELAID = 3
-"""How often models are laid onto the grid, each time shifted by what was found before."""
-REWEIGHTED = 5
-BETWEEN_NODES = 0.1
-"""Error of a position that heights on a grid tell, as a share of its spacing; assumed."""
-BLOCK = 12
-"""Nodes along a side of the blocks whose gradients are compared; assumed."""
-COLUMNS = ("offset", "x_m", "y_m")
-"""What a model may be off by: its common error, in units of it, and its position."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -22,6 +22,14 @@ from lunarsci.images.tracks import TrackDepths, TrackProfile, places_on, unrolle
 MARK, BAND = VERMILION, "#9fb4c0"
 
 
+REASON_COLOURS = ("#ffffff", "#bcc4c8", "#f6e27a", "#000000", "#e08f3c", "#7a1f8f", "#3f74c9", "#003d2e")
+"""Of `REASONS` in their order; in grey each is by a tenth lighter or darker than the next."""
+LONG = 0.08
+"""Length of the arrow of a residual of three standard deviations, as a share of the picture's width."""
+ARROW = 30.0
+"""Residuals are drawn so many times as long."""
+
+
 def _map(axes: Axes, model: ElevationModel, values: FloatArray, label: str, **look: Any) -> None:
     picture = axes.imshow(values, extent=model.extent_m, origin="lower", interpolation="nearest", **look)
     axes.figure.colorbar(picture, ax=axes, label=label, shrink=0.85)
@@ -134,10 +142,6 @@ def merge_page(merged: MergedMap) -> Figure:
     return figure
 
 
-REASON_COLOURS = ("#ffffff", "#bcc4c8", "#f6e27a", "#000000", "#e08f3c", "#7a1f8f", "#3f74c9", "#003d2e")
-"""Of `REASONS` in their order; in grey each is by a tenth lighter or darker than the next."""
-
-
 def dem_figure(model: ElevationModel, matches: StereoMatches, pose: Pose) -> Figure:
     """Picture with disparities, reasons where there is none, heights, and random and common errors."""
     figure = page(5.9)
@@ -178,10 +182,6 @@ def _reasons(axis: Axes, matches: StereoMatches) -> None:
         if share >= 0.0005 or name == REASONS[MATCHED]
     ]
     axis.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.03), frameon=False, ncols=2)
-
-
-LONG = 0.08
-"""Length of the arrow of a residual of three standard deviations, as a share of the picture's width."""
 
 
 def calibration_page(result: CameraCalibration, name: str) -> Figure:
@@ -240,10 +240,6 @@ def range_page(
     axis.grid()
     legend_below(figure, axis, 2)
     return figure
-
-
-ARROW = 30.0
-"""Residuals are drawn so many times as long."""
 
 
 def ties_figure(result: Localised, number: int, *, synthetic: bool = False) -> Figure:

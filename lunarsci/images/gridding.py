@@ -26,8 +26,7 @@ GRAZING_DEG = 3.0
 PARTS = 3
 """A cell's height is the mean over so many places along x and y on the triangles between pixels."""
 COVERED = 0.5
-"""Share of these places that must lie on triangles, and of the nodes of a track's floor and the ground beside it that
-must be known; assumed."""
+"""Share of these places that must lie on triangles; assumed."""
 ALIKE_PX = 4.0
 """Distance of pixels whose errors are independent: as `matching.CORRELATED`."""
 REPRESENTED = 0.09

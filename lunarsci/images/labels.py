@@ -34,6 +34,9 @@ DOWN = "z of the label's frame points down: x, -y, -z of it are told"
 NUMBER = r"[-+]?(?:\d++\.?+\d*+|\.\d++)(?:[eEdD][-+]?\d++)?"
 
 
+CORNERS = ("up_left", "down_left", "up_right", "down_right", "center")
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LabelCamera:
     """A camera that a label describes, and how well this one does.
@@ -263,9 +266,6 @@ def finite(name: str, tag: str, cell: str) -> float:
     if not np.isfinite(value):
         raise DataError(f"{name}: {tag} is '{cell}', no number; fetch it again")
     return value
-
-
-CORNERS = ("up_left", "down_left", "up_right", "down_right", "center")
 
 
 def read_label(file: InputFile) -> LabelCamera:

@@ -464,10 +464,10 @@ def templates(
         peak = _peak(np.asarray(cv2.matchTemplate(field, patch, cv2.TM_CCOEFF_NORMED)), patch.size, least)
         if peak is not None:
             table.append((u, v, u + peak[0] - reach_px[0] - 1, v + peak[1] - reach_px[1] - 1, *peak[2:]))
-    start, goal, correlation, spread = np.split(np.array(table, dtype=float).reshape(-1, 8), (2, 4, 5), axis=1)
+    start, goal, correlation, errors = np.split(np.array(table, dtype=float).reshape(-1, 8), (2, 4, 5), axis=1)
     sources, apart = (_nearest(values, start) for values in (seen.place, seen.apart))
     sides = [_side(station.matches, rig, at) for station, at in ((near, sources), (far, goal + apart))]
-    ties = TiePoints(*sides[0], *sides[1], spread[:, [0, 1, 1, 2]].reshape(-1, 2, 2), correlation[:, 0])
+    ties = TiePoints(*sides[0], *sides[1], errors[:, [0, 1, 1, 2]].reshape(-1, 2, 2), correlation[:, 0])
     return TiePoints(*(values[np.isfinite(ties.near_disparity)] for values in ties))
 
 
@@ -673,7 +673,7 @@ def _tied(
     motion, count = _by_features(stations, poses, near, far, seen, rig, covariance)
     report = report._replace(features=count, inliers=int(motion.inliers.sum()))
     if report.inliers < FEWEST:
-        return report._replace(failure=_matter(report, seen)), None
+        return report._replace(failure=_matter(report)), None
     now = _moved(poses, near, far, motion, b)
     for reach in REACHES_PX:
         seen = transfer(stations[near], now[near], stations[far], now[far])
@@ -683,7 +683,7 @@ def _tied(
                 break
         report = report._replace(ties=len(ties.correlation))
         if report.ties < FEWEST:
-            return report._replace(failure=_matter(report, seen)), None
+            return report._replace(failure=_matter(report)), None
         report = report._replace(correlation=float(np.median(ties.correlation)))
         fitted = adjust(
             [poses[a], now[b]], [np.eye(6), covariance], rig, [PairTies(int(near != a), int(far != a), ties)]
@@ -757,11 +757,9 @@ def _moved(poses: Sequence[Pose], near: int, far: int, motion: RigidMotion, seco
     return now
 
 
-def _matter(report: PairReport, seen: Transferred) -> str:
+def _matter(report: PairReport) -> str:
     """Why two stations could not be tied."""
-    light = seen.light[seen.seen]
-    contrast = float(light.std() / max(float(light.mean()), 1e-9))
-    seems = "; the ground shows too little texture" if contrast < 0.05 else "; has the Sun moved far?"
+    counts = f"{report.features} features in common, {report.inliers} of one motion"
     if report.ties:
-        return f"only {report.ties} templates agree by {LOOSE_CORRELATION:g} or more{seems}"
-    return f"{report.features} features in common, {report.inliers} of one motion{seems}"
+        counts = f"only {report.ties} templates agree by {LOOSE_CORRELATION:g} or more"
+    return f"{counts}; has the Sun moved far, or the ground too little texture?"

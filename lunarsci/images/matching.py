@@ -26,12 +26,44 @@ HALF_PX = 3
 (`tests/benchmarks/scenes.py`: NavCam 2, PanCam 1) of 5, 7 and 9."""
 STEPS = 5
 SMALL_STEP_PX = 0.01
-FARTHEST_PX = 1.0
-"""A window that moves farther from where it began is at another one of the whole disparities that were compared."""
+FARTHEST_PX = 0.9
+"""A window that moves farther from where it began has found something else; assumed."""
 STEEPEST = 2 / 3
 """Largest change of disparity from pixel to pixel of the left picture: 1 from pixel to pixel between both pictures
 (Pollard et al. 1985, Perception 14, 449, 10.1068/p140449). [px/px]"""
 ROWS = 16
+
+
+REASONS = ("matched", "edge", "saturated", "shadow", "no texture", "occluded", "no match", "island")
+MATCHED, EDGE, SATURATED, SHADOW, NO_TEXTURE, OCCLUDED, NO_MATCH, ISLAND = range(len(REASONS))
+BLOCK_PX = 5
+"""Window of semi-global matching: the manual of OpenCV (Bradski 2000, Dr. Dobb's J. Softw. Tools 25, 120) advises 3 to
+11 px, and penalties of 8 and 32 times its area."""
+DARK = 0.05
+"""Light below this share of the bright tenth of a picture is shadow; assumed."""
+LARGEST_SIGMA_PX, LARGEST_MISFIT = 0.5, 0.6
+"""Error of a disparity, and what is left of the light of a window over its contrast, above which nothing is said;
+assumed."""
+FEWEST = 0.1
+"""Share of pixels that must match before anything is said of a pair; assumed."""
+LARGEST_ROW_PX = 3.0
+"""Rows that are farther apart are of another rig; assumed."""
+UNEVEN_PX = 0.45
+"""Robust scatter of the rows' distances about their plane from which the pictures are of two moments; measured: a
+rendered pair has 0.05 px, 0.11 px where the rover moved by 1 cm between its pictures, 0.52 px by 3 cm."""
+ISLAND_PX, ISLAND_STEP_PX = 400, 1.0
+"""Pixels of a patch below which it is an island, and the step of disparity at which a patch ends. Measured on
+six rendered pairs of ground without texture: a third of the pixels on islands were wrong, of all others 2 %."""
+ISLAND_OFF, ABOUT_PX = 0.5, 33
+"""How far an island may be off the ground about it, as a share of its disparity, and the width of the window in which
+this ground is looked for [px]; measured: of shares from 0.1 on this one costs a real pair the fewest pixels."""
+CORRELATED = 2.4
+"""Random errors over those of the normal matrix, since what is left of the light hangs together: fitted to four
+rendered pairs (`tests/benchmarks/scenes.py`: NavCam 2 and 4, PanCam 1 and 10), and tried on others."""
+RELIEF = 0.9
+"""Share of the relief within a window, beyond its plane, that the middle is off by: as `CORRELATED`."""
+SMALLEST_SIGMA_PX = 0.02
+"""Error that is left where light and relief say none: as `CORRELATED`."""
 
 
 class Refined(NamedTuple):
@@ -217,38 +249,6 @@ def _spread(picture, u, v, half):  # type: ignore[no-untyped-def]
             total += value
             square += value * value
     return square - total * total / (2 * half + 1) ** 2
-
-
-REASONS = ("matched", "edge", "saturated", "shadow", "no texture", "occluded", "no match", "island")
-MATCHED, EDGE, SATURATED, SHADOW, NO_TEXTURE, OCCLUDED, NO_MATCH, ISLAND = range(len(REASONS))
-BLOCK_PX = 5
-"""Window of semi-global matching: the manual of OpenCV (Bradski 2000, Dr. Dobb's J. Softw. Tools 25, 120) advises 3 to
-11 px, and penalties of 8 and 32 times its area."""
-DARK = 0.05
-"""Light below this share of the bright tenth of a picture is shadow; assumed."""
-LARGEST_SIGMA_PX, LARGEST_MISFIT = 0.5, 0.6
-"""Error of a disparity, and what is left of the light of a window over its contrast, above which nothing is said;
-assumed."""
-FEWEST = 0.1
-"""Share of pixels that must match before anything is said of a pair; assumed."""
-LARGEST_ROW_PX = 3.0
-"""Rows that are farther apart are of another rig; assumed."""
-UNEVEN_PX = 0.45
-"""Robust scatter of the rows' distances about their plane from which the pictures are of two moments; measured: a
-rendered pair has 0.05 px, 0.11 px where the rover moved by 1 cm between its pictures, 0.52 px by 3 cm."""
-ISLAND_PX, ISLAND_STEP_PX = 400, 1.0
-"""Pixels of a patch below which it is an island, and the step of disparity at which a patch ends. Measured on
-six rendered pairs of ground without texture: a third of the pixels on islands were wrong, of all others 2 %."""
-ISLAND_OFF, ABOUT_PX = 0.5, 33
-"""How far an island may be off the ground about it, as a share of its disparity, and the width of the window in which
-this ground is looked for [px]; measured: of shares from 0.1 on this one costs a real pair the fewest pixels."""
-CORRELATED = 2.4
-"""Random errors over those of the normal matrix, since what is left of the light hangs together: fitted to four
-rendered pairs (`tests/benchmarks/scenes.py`: NavCam 2 and 4, PanCam 1 and 10), and tried on others."""
-RELIEF = 0.9
-"""Share of the relief within a window, beyond its plane, that the middle is off by: as `CORRELATED`."""
-SMALLEST_SIGMA_PX = 0.02
-"""Error that is left where light and relief say none: as `CORRELATED`."""
 
 
 class Rectified(NamedTuple):

@@ -35,6 +35,27 @@ RMS_AT_METRE_M, MOTTLING = 0.02, 0.05
 from place to place [-]: assumed."""
 
 
+SKYLIGHT = 0.0015
+"""Radiance factor of what is in shadow, lit by ground about it: assumed. [-]"""
+SINGLE_SCATTERING = 0.33
+"""w of Hapke's law; with HG -0.3, B0 1.5, h 0.06, near Hapke's (1981, 10.1029/JB086iB04p03039) Moon: assumed."""
+ROCK_ALBEDO = 1.15
+"""Reflectance of rocks over the ground's: assumed. [-]"""
+LIFT_M = 1e-5
+"""How far over a surface a ray begins that leaves it. [m]"""
+Law = Literal["lommel-seeliger", "hapke"]
+SKY, GROUND, ROCK = 0, 1, 2
+SUN_RADIUS_RAD = math.radians(0.2666)
+"""Half the angle of the Sun's disk at 1 au: 959.63 arc seconds, Auwers (1891), Astron. Nachr. 128, 361. The nominal
+radius of the Sun (Prsa et al. 2016, 10.3847/0004-6256/152/2/41) gives 0.2665 deg. [rad]"""
+EXPOSURE = 0.8
+"""Share of the full well that the brightest half percent of the left picture reaches: assumed. [-]"""
+OFFSET = 8.0
+"""Number that darkness gives: assumed."""
+ROWS = 32
+"""Rows of pixels that a thread takes at a time."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Landscape:
     """Ground, rocks and Sun.
@@ -209,16 +230,6 @@ def _fractal(shape: tuple[int, int], spacing_m: float, longest_m: float, random:
         weight = np.where(k >= 1 / longest_m, k ** -(HURST + 1), 0.0)
     waves = np.fft.irfft2(weight * np.fft.rfft2(random.standard_normal(shape)), s=shape)
     return np.asarray(waves / (waves.std() or 1.0))
-
-
-SKYLIGHT = 0.0015
-"""Radiance factor of what is in shadow, lit by ground about it: assumed. [-]"""
-SINGLE_SCATTERING = 0.33
-"""w of Hapke's law; with HG -0.3, B0 1.5, h 0.06, near Hapke's (1981, 10.1029/JB086iB04p03039) Moon: assumed."""
-ROCK_ALBEDO = 1.15
-"""Reflectance of rocks over the ground's: assumed. [-]"""
-LIFT_M = 1e-5
-"""How far over a surface a ray begins that leaves it. [m]"""
 
 
 class World(NamedTuple):
@@ -491,19 +502,6 @@ def _in_cell(z, dz, u, v, du, dv, start, end, heights, i, j):  # type: ignore[no
     return best if best > 0.0 else np.inf
 
 
-Law = Literal["lommel-seeliger", "hapke"]
-SKY, GROUND, ROCK = 0, 1, 2
-SUN_RADIUS_RAD = math.radians(0.2666)
-"""Half the angle of the Sun's disk at 1 au: 959.63 arc seconds, Auwers (1891), Astron. Nachr. 128, 361. The nominal
-radius of the Sun (Prsa et al. 2016, 10.3847/0004-6256/152/2/41) gives 0.2665 deg. [rad]"""
-EXPOSURE = 0.8
-"""Share of the full well that the brightest half percent of the left picture reaches: assumed. [-]"""
-OFFSET = 8.0
-"""Number that darkness gives: assumed."""
-ROWS = 32
-"""Rows of pixels that a thread takes at a time."""
-
-
 class PixelTruth(NamedTuple):
     """What a picture shows, pixel by pixel of the left camera.
 
@@ -622,8 +620,8 @@ def _rocks_in(world: World, camera: Camera, pose: Pose, first: float, last: floa
     reach = world.rocks[:, 3:6].max(axis=1, initial=0.0)
     depth = np.maximum(middle[:, 2], 1e-9)
     row = camera.project(np.column_stack([middle[:, :2], depth]))[:, 1]
-    spread = 2 * camera.fy_px * reach / np.maximum(depth - reach, 1e-3)
-    apart = (depth > 3 * reach) & ((row + spread < first) | (row - spread > last))
+    margin = 2 * camera.fy_px * reach / np.maximum(depth - reach, 1e-3)
+    apart = (depth > 3 * reach) & ((row + margin < first) | (row - margin > last))
     return np.flatnonzero(~apart & (middle[:, 2] > -reach))
 
 

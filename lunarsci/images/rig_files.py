@@ -58,7 +58,50 @@ _SECTION = re.compile(r"^\s*\[([^\]]+)\]\s*$", re.MULTILINE)
 _BLOCK = re.compile(r"^(camera matrix|distortion|rectification|projection)\s*\n((?:[-+\d.eE \t]+\n?)+)", re.MULTILINE)
 _SIZE = re.compile(r"^(width|height)\s+(\d+)", re.MULTILINE)
 _SIDE = re.compile(r"^Camera([12])\.(\w+)$")
-_TERMS = ("k1", "k2", "p1", "p2", "k3")
+
+
+METRES: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+USUAL_BASELINE_M = 0.2
+"""Of stereo rigs on rovers: 0.1 m (hazard cameras) to 0.42 m (Maki et al. 2003, 10.1029/2003JE002077). [m]"""
+BROWN = ("k1", "k2", "p1", "p2", "k3")
+"""Terms of Brown in the order of OpenCV, ROS and Kalibr."""
+NAMES: Mapping[str, tuple[str, ...]] = {
+    "matrix": ("cameramatrix", "intrinsicmatrix", "k", "m", "mtx", "intrinsics"),
+    "lens": ("distortioncoefficients", "distortioncoeffs", "distcoeffs", "distcoeff", "distortion", "dist", "d"),
+    "model": ("distortionmodel",),
+    "width": ("imagewidth", "width"),
+    "height": ("imageheight", "height"),
+    "size": ("imagesize", "resolution", "imagedimensions"),
+    "rectification": ("rectificationmatrix", "r"),
+    "projection": ("projectionmatrix", "p"),
+    "name": ("cameraname",),
+    "body": ("tbs",),
+}
+"""What is read of a camera, by names in small letters without what is between them."""
+TURN = ("r", "rotation", "rotationmatrix", "rot", "rmat")
+SHIFT = ("t", "translation", "translationvector", "trans", "tvec", "transvector")
+SIDES = (("1", "left", "l"), ("2", "right", "r"))
+"""What names of a file of two cameras begin or end with."""
+ONE_BY_ONE = (("fx",), ("fy",), ("cx", "ppx"), ("cy", "ppy"))
+"""Intrinsics that are told by a key each, as by ORB-SLAM's settings."""
+FISHEYE = ("equidistant", "fisheye", "equi", "kannalabrandt4")
+KEYS = re.compile(
+    r"^[ \t]*[\"']?(?:[\w.]*(?:camera|intrinsic|distort|opencv)\w*|[\w.]*f[xy]|[kmtrd][12]?|T_cn_cnm1|T_BS)[\"']?"
+    r"[ \t]*:",
+    re.MULTILINE | re.IGNORECASE,
+)
+"""A line that a file of cameras in YAML has."""
+SURELY = re.compile(r"camera_?matrix|distortion_|intrinsics|opencv|camera_model|image_width", re.IGNORECASE)
+"""What no other text has."""
+STATED = "errors: a file of this kind states none"
+CAMERA_FORM = "a camera has image_width, image_height, camera_matrix and distortion_coefficients"
+ONE_CAMERA = "is one camera; a rig needs two"
+SENSOR = ("bits", "full_well_e", "read_noise_e", "mtf_at_nyquist")
+SIGMA_GROUPS = {"rotation_rad": RELATIVE[:3], "translation_m": RELATIVE[3:]}
+FORM = (
+    "give [left] and [right] (width_px, height_px, fx_px, fy_px, cx_px, cy_px, k1, k2, k3, p1, p2) and [relative] "
+    "(rotation_rad, translation_m), or width_px, height_px, focal_px and baseline_m of two equal cameras side by side"
+)
 
 
 def _written(file: InputFile, start: str) -> Mapping[str, Any] | None:
@@ -106,7 +149,7 @@ def _of_colmap(line: re.Match[str]) -> dict[str, Any]:
     size = given.get("f", 0.0)
     fx, fy = given.get("fx", size), given.get("fy", size)
     fisheye = line[2] == "OPENCV_FISHEYE"
-    terms = ("k1", "k2", "k3", "k4") if fisheye else (*_TERMS, "k4", "k5", "k6")
+    terms = ("k1", "k2", "k3", "k4") if fisheye else (*BROWN, "k4", "k5", "k6")
     return {
         "image_width": int(line[3]),
         "image_height": int(line[4]),
@@ -157,45 +200,8 @@ def _of_transforms(file: InputFile) -> dict[str, Any]:
         "image_width": int(given["w"]),
         "image_height": int(given["h"]),
         "intrinsics": [given["fl_x"], given.get("fl_y", given["fl_x"]), given["cx"], given["cy"]],
-        "distortion": [given.get(term, 0.0) for term in _TERMS],
+        "distortion": [given.get(term, 0.0) for term in BROWN],
     }
-
-
-METRES: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-USUAL_BASELINE_M = 0.2
-"""Of stereo rigs on rovers: 0.1 m (hazard cameras) to 0.42 m (Maki et al. 2003, 10.1029/2003JE002077). [m]"""
-BROWN = ("k1", "k2", "p1", "p2", "k3")
-"""Terms of Brown in the order of OpenCV, ROS and Kalibr."""
-NAMES: Mapping[str, tuple[str, ...]] = {
-    "matrix": ("cameramatrix", "intrinsicmatrix", "k", "m", "mtx", "intrinsics"),
-    "lens": ("distortioncoefficients", "distortioncoeffs", "distcoeffs", "distcoeff", "distortion", "dist", "d"),
-    "model": ("distortionmodel",),
-    "width": ("imagewidth", "width"),
-    "height": ("imageheight", "height"),
-    "size": ("imagesize", "resolution", "imagedimensions"),
-    "rectification": ("rectificationmatrix", "r"),
-    "projection": ("projectionmatrix", "p"),
-    "name": ("cameraname",),
-    "body": ("tbs",),
-}
-"""What is read of a camera, by names in small letters without what is between them."""
-TURN = ("r", "rotation", "rotationmatrix", "rot", "rmat")
-SHIFT = ("t", "translation", "translationvector", "trans", "tvec", "transvector")
-SIDES = (("1", "left", "l"), ("2", "right", "r"))
-"""What names of a file of two cameras begin or end with."""
-ONE_BY_ONE = (("fx",), ("fy",), ("cx", "ppx"), ("cy", "ppy"))
-"""Intrinsics that are told by a key each, as by ORB-SLAM's settings."""
-FISHEYE = ("equidistant", "fisheye", "equi", "kannalabrandt4")
-KEYS = re.compile(
-    r"^[ \t]*[\"']?(?:[\w.]*(?:camera|intrinsic|distort|opencv)\w*|[\w.]*f[xy]|[kmtrd][12]?|T_cn_cnm1|T_BS)[\"']?"
-    r"[ \t]*:",
-    re.MULTILINE | re.IGNORECASE,
-)
-"""A line that a file of cameras in YAML has."""
-SURELY = re.compile(r"camera_?matrix|distortion_|intrinsics|opencv|camera_model|image_width", re.IGNORECASE)
-"""What no other text has."""
-STATED = "errors: a file of this kind states none"
-CAMERA_FORM = "a camera has image_width, image_height, camera_matrix and distortion_coefficients"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -489,15 +495,6 @@ def _scale_of(length: float, unit: LengthUnit | None) -> tuple[float, list[str]]
         f"T is in {likely}, a baseline of {length * METRES[likely]:.4g} m, as the file names no unit "
         "(--translation-unit)"
     ]
-
-
-ONE_CAMERA = "is one camera; a rig needs two"
-SENSOR = ("bits", "full_well_e", "read_noise_e", "mtf_at_nyquist")
-SIGMA_GROUPS = {"rotation_rad": RELATIVE[:3], "translation_m": RELATIVE[3:]}
-FORM = (
-    "give [left] and [right] (width_px, height_px, fx_px, fy_px, cx_px, cy_px, k1, k2, k3, p1, p2) and [relative] "
-    "(rotation_rad, translation_m), or width_px, height_px, focal_px and baseline_m of two equal cameras side by side"
-)
 
 
 @contextmanager

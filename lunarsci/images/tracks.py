@@ -11,16 +11,28 @@ import itertools
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from statistics import NormalDist
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from lunarsci.arrays import SIGNIFICANCE, BoolArray, FloatArray, IndexArray, robust_fit, robust_scatter
+from lunarsci.arrays import BoolArray, FloatArray, IndexArray, robust_fit, robust_scatter
 from lunarsci.errors import ParameterError
 from lunarsci.images.elevation import ElevationModel
-from lunarsci.images.gridding import COVERED
 from lunarsci.io.inputs import read_input, read_json
+
+FLOOR_SHARE = 0.6
+"""Share of the wheel's width, about the middle, that is taken as floor: walls slide in at the sides; assumed."""
+COVERED = 0.5, 0.3
+"""Share of the nodes of the floor, and of the ground at each side, that must be known; assumed."""
+RESOLUTION_OFF = 0.3
+"""Relative error of the resolution; assumed."""
+CLEAR = 3.0
+"""Standard errors by which a track must stand out where its middle is looked for; assumed."""
+FEWEST_SHAMS = 8
+CELL_SHARE = 0.3
+"""Side of the cells whose mean heights stand for the ground, as a share of the wheel's width; assumed."""
+PRIOR_SHAMS = 4.0
+"""Weight of the stated error beside shams, as so many of them; assumed."""
 
 
 class Unrolled(NamedTuple):
@@ -209,17 +221,6 @@ def kriged(
     return float(weights @ cells.height), max(float(variance), 0.0)
 
 
-FLOOR_SHARE = 0.6
-"""Share of the wheel's width, about the middle, that is taken as floor: walls slide in at the sides; assumed."""
-RESOLUTION_OFF = 0.3
-"""Relative error of the resolution; assumed."""
-FEWEST_SHAMS = 8
-CELL_SHARE = 0.3
-"""Side of the cells whose mean heights stand for the ground, as a share of the wheel's width; assumed."""
-PRIOR_SHAMS = 4.0
-"""Weight of the stated error beside shams, as so many of them; assumed."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrackProfile:
     """Where across the track what is looked for.
@@ -312,10 +313,10 @@ def _one_depth(survey: "_Survey", nodes: Unrolled, middle: float, profile: Track
     floor = np.abs(left) <= profile.floor_m
     sides = [(sign * left >= inner) & (sign * left <= outer) for sign in (-1.0, 1.0)]
     whole = survey.window_m / survey.model.spacing_m**2
-    if floor.sum() < COVERED * whole * 2 * profile.floor_m:
+    if floor.sum() < COVERED[0] * whole * 2 * profile.floor_m:
         return np.nan, np.nan, "floor not covered"
     for side, name in zip(sides, ("right", "left"), strict=True):
-        if side.sum() < COVERED * whole * profile.strip_m:
+        if side.sum() < COVERED[1] * whole * profile.strip_m:
             return np.nan, np.nan, f"ground to the {name} not covered"
     alike = max(1.0, (survey.resolution_m / survey.model.spacing_m) ** 2)
     cells = cells_of(nodes, sides[0] | sides[1], survey.cell_m, alike)
@@ -392,8 +393,7 @@ def track_middles(survey: _Survey, profile: TrackProfile, search_m: float, lengt
 
 
 def _stretch_middle(part: Unrolled, profile: TrackProfile, steps: FloatArray) -> float:
-    """Where a box of the wheel's width explains most of the profile; NaN where it is no deeper than `SIGNIFICANCE` of
-    stretches without a track are at their best place, with ten independent nodes."""
+    """Where a box of the wheel's width explains most of the profile, NaN where it does not stand out."""
     searched = float(np.abs(steps).max())
     part = part.only(np.abs(part.across) <= profile.ground_m[1] + searched)
     outside = np.abs(part.across) > 0.5 * profile.width_m + searched
@@ -406,8 +406,7 @@ def _stretch_middle(part: Unrolled, profile: TrackProfile, steps: FloatArray) ->
     costs, depths = zip(*(_misfit(across - step, rest, profile.width_m) for step in steps), strict=True)
     best = int(np.argmin(costs))
     scatter = robust_scatter(rest[outside])
-    clear = NormalDist().inv_cdf(1 - SIGNIFICANCE / len(steps))
-    if not depths[best] > clear * scatter / math.sqrt(10.0) or best in (0, len(steps) - 1):
+    if not depths[best] > CLEAR * scatter / math.sqrt(10.0) or best in (0, len(steps) - 1):
         return math.nan
     before, here, after = costs[best - 1 : best + 2]
     bend = before - 2 * here + after

@@ -18,7 +18,7 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.guide import doctor
 from lunarsci.guide.cite import REFERENCE, SEVERAL, CitedSources, cite, reference_of, reference_to, works
 from lunarsci.guide.cite import _cited as cite_of
-from lunarsci.guide.info import CONTENTS, CSV_COLUMNS, KINDS, MAGIC_BYTES, SUFFIXES, TOML_KEYS, info
+from lunarsci.guide.info import CONTENTS, CSV_COLUMNS, MAGIC_BYTES, SUFFIXES, TOML_KEYS, info
 from lunarsci.guide.template import KINDS as TEMPLATES
 from lunarsci.guide.template import described, template
 from lunarsci.io.inputs import InputFile

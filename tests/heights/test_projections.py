@@ -87,5 +87,7 @@ def test_places_that_are_none_and_maps_without_a_system() -> None:
     for lon, lat in ((0.0, 91.0), (math.nan, 0.0), (400.0, 0.0)):
         with pytest.raises(ParameterError, match=r"a (longitude|latitude) is"):
             MapProjection(wkt(EQUATOR)).metres(lon, lat)
+    with pytest.raises(ParameterError, match="no such place"):
+        MapProjection(wkt("+proj=ortho +R=1737400 +units=m")).lonlat(2e6, 0.0)
     with pytest.raises(DataError, match=r"a\.npz names no coordinate system"):
         projection_of("", "a.npz")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from stamped_ground import FINE, NAVCAM, fractal, with_track
 
-from lunarsci.errors import ParameterError
+from lunarsci.errors import DataError, ParameterError
 from lunarsci.images.elevation import (
     ElevationModel,
     StationPosition,
@@ -16,7 +16,8 @@ from lunarsci.images.elevation import (
     merge,
     read_elevation,
 )
-from lunarsci.images.jobs.merge import MergedStations
+from lunarsci.images.jobs.merge import MergedStations, read_positions
+from lunarsci.io.inputs import InputFile
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.terrain import read_terrain
 
@@ -112,6 +113,20 @@ def test_refusals() -> None:
         merge(models, [StationPosition(), far])
     with pytest.raises(ParameterError, match="height_m_sigma"):
         merge([models[0], ElevationModel(name="b", x0_m=0, y0_m=0, spacing_m=1, height_m=np.zeros((3, 3)))])
+
+
+@pytest.mark.parametrize(
+    ("table", "why"),
+    [
+        ("x_m,z_m,sigma_m\n0,0,1\n1,0,1\n", "no column x_m or y_m"),
+        ("x_m,y_m,sigma_m\n0,0,1\n", "1 rows for 2 elevation models"),
+        ("x_m,y_m\n0,0\n1,1\n", "no errors of the positions"),
+        ("x_m,y_m,sigma_m\n0,0,1\n1,,1\n", "row 2: a position"),
+    ],
+)
+def test_positions_that_are_none(table: str, why: str) -> None:
+    with pytest.raises(DataError, match=why):
+        read_positions(InputFile("p.csv", table.encode()), 2)
 
 
 def test_files_come_back_and_are_terrain_too(tmp_path: Path) -> None:

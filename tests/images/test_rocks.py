@@ -39,7 +39,7 @@ def hits(model: ElevationModel, survey: RockSurvey, rocks: np.ndarray) -> tuple[
 
 def test_pancam_finds_five_centimetres_within_five_metres() -> None:
     shares, false, finds = [], 0, 0
-    for seed in (700, 701, 702):
+    for seed in (700, 701):
         model, survey, rocks = looked_at(seed, PANCAM)
         share, wrong = hits(model, survey, rocks)
         shares.append(list(share.values()))
@@ -66,12 +66,12 @@ def test_completeness_says_what_is_missed() -> None:
 
 
 def test_ground_without_rocks_has_next_to_none() -> None:
-    finds = []
-    for seed in range(3):
+    finds = 0
+    for seed in range(2):
         rng = np.random.default_rng(seed)
         ground, _ = with_rocks(rng, [])
-        finds.append(len(find_rocks(ground.seen(rng, PANCAM, CAMERA), largest_m=0.4, sizes_m=()).rocks))
-    assert sum(finds) <= 6
+        finds += len(find_rocks(ground.seen(rng, PANCAM, CAMERA), largest_m=0.4, sizes_m=()).rocks)
+    assert finds <= 4
 
 
 def test_relief_of_the_ground_is_no_rock_where_errors_are_small() -> None:

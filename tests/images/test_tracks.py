@@ -9,7 +9,7 @@ import pytest
 from stamped_ground import NAVCAM, PANCAM, Ground, with_track
 
 from lunarsci.arrays import BIWEIGHT, robust_fit
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import ParameterError
 from lunarsci.images.jobs.track import TrackSinkage
 from lunarsci.images.tracks import TrackDepths, TrackProfile, Unrolled, cells_of, places_on, read_line, track_depths
 
@@ -107,7 +107,7 @@ def test_geojson(tmp_path: Path) -> None:
     path.write_text('{"type":"Feature","geometry":{"type":"LineString","coordinates":[[1,2],[3,4,5]]}}')
     assert read_line(str(path)).tolist() == [[1, 2], [3, 4]]
     path.write_text('{"type":"Point","coordinates":[1,2]}')
-    with pytest.raises(DataError, match="LineString"):
+    with pytest.raises(ParameterError, match="LineString"):
         read_line(str(path))
 
 

@@ -16,7 +16,6 @@ from lunarsci.images.calibration import (
     Sighting,
     alike_turned,
     calibrate,
-    check_board,
     find_target,
     of_moments,
     pictures_matching,
@@ -51,8 +50,6 @@ SWAPPED = (
     "give its pictures first, and the others as `right`"
 )
 CELLS = 8
-FIRST = 3
-"""Pictures after which it is asked whether the board is another one."""
 
 
 def board_target(request: CalibrateCamerasRequest) -> BoardTarget:
@@ -266,11 +263,10 @@ def calibrate_cameras(
     """Calibrate one camera with pictures of a board, or a stereo rig with `pictures` of its left and `right` camera.
 
     Both are files, or a pattern; pictures of both cameras belong together by the numbers in their names, else in their
-    order. Raises RequestError, ParameterError, and DataError where the board is not found, is another one, or is seen
-    too seldom or from one side.
+    order. Raises RequestError, ParameterError, and DataError where the board is seen too seldom or from one side.
     """
-    asked = request_of(CalibrateCamerasRequest, request, options)
-    target, steps = board_target(asked), progress or (lambda *_: None)
+    request = request_of(CalibrateCamerasRequest, request, options)
+    target, steps = board_target(request), progress or (lambda *_: None)
     first = pictures_matching([pictures]) if isinstance(pictures, str) else pictures
     second = pictures_matching([right], "right") if isinstance(right, str) else right
     sides = [list(side) for side in (of_moments(first, second) if second else (first,))]
@@ -286,32 +282,26 @@ def calibrate_cameras(
     names = [[picture.source.name for picture in side] for side in shown]
     moments = [(tuple(s[k] for s in seen), tuple(n[k] for n in names)) for k in range(len(sides[0]))]
     used = [(view, files) for view, files in moments if any(s is not None for s in view)]
-    fit = calibrate([v for v, _ in used], target, [side[0].size for side in shown], distortion=asked.distortion)
+    fit = calibrate([v for v, _ in used], target, [side[0].size for side in shown], distortion=request.distortion)
     steps(count, count)
     return CalibratedCameras(
-        calibration=_with_scale(fit, asked.square_error),
+        calibration=_with_scale(fit, request.square_error),
         used=tuple(files for _, files in used),
         points={
             name: None if s is None else len(s.numbers)
             for side, sightings in zip(names, seen, strict=True) for name, s in zip(side, sightings, strict=True)
         },
-        request=asked,
+        request=request,
         inputs={p.source.name: p.source.sha256 for side in shown for p in side},
     )  # fmt: skip
 
 
 def _sightings(pictures: Sequence[Picture], target: BoardTarget, step: Callable[[int], None]) -> list[Sighting | None]:
-    """Where each picture of a camera shows the board; where a short look finds it in some, others get a long one.
-
-    Raises DataError where the board is another one.
-    """
+    """Where each picture of a camera shows the board; where a short look finds it in some, others get a long one."""
     seen: list[Sighting | None] = []
     for k, picture in enumerate(pictures):
         seen.append(find_target(picture, target, patient=False))
         step(k + 1)
-        if k == FIRST - 1:
-            check_board(pictures[:FIRST], seen, target)
-    check_board(pictures, seen, target)
     if any(seen):
         seen = [find_target(p, target) if s is None else s for p, s in zip(pictures, seen, strict=True)]
     return seen

@@ -154,7 +154,7 @@ def cameras(sources: Sequence[Source] = (), request: CamerasRequest | None = Non
     A label, or a file of ROS or OpenCV with one camera, alone is one camera; two are the left and the right one of a
     rig. Raises RequestError and DataError.
     """
-    asked = request_of(CamerasRequest, request, options)
+    request = request_of(CamerasRequest, request, options)
     given = [sources] if isinstance(sources, str) else list(sources)
     files: list[Any] = [None if one in rig_names() else read_input(one) for one in given]
     rigs: list[StereoRig] = []
@@ -164,17 +164,17 @@ def cameras(sources: Sequence[Source] = (), request: CamerasRequest | None = Non
         if file is None:
             rigs.append(read_rig(one))  # type: ignore[arg-type]
         elif is_rig(file):
-            rigs.append(rig_or_camera([file], asked.translation_unit))  # type: ignore[arg-type]
+            rigs.append(rig_or_camera([file], request.translation_unit))  # type: ignore[arg-type]
         elif not _is_toml(file):
             pair.append(file)
         elif single := read_camera(file):
             alone[file.name] = single
         else:
             rigs.append(read_rig(file))
-    of_pair, of_labels = _of_pair(pair, asked.translation_unit)
+    of_pair, of_labels = _of_pair(pair, request.translation_unit)
     rigs, alone = rigs + of_pair, alone | of_labels
     inputs = {file.name: file.sha256 for file in files if file is not None}
-    return CameraSheet(rigs=tuple(rigs), alone=alone, request=asked, inputs=inputs)
+    return CameraSheet(rigs=tuple(rigs), alone=alone, request=request, inputs=inputs)
 
 
 def _of_pair(

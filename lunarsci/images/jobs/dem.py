@@ -109,16 +109,16 @@ def dem(
 
     Raises DataError where the pictures are none, do not belong to the rig or do not match, and says why.
     """
-    asked = request_of(DemRequest, request, options)
-    rig = read_rig(*asked.rig.split(",")) if asked.rig.count(",") == 1 else read_rig(asked.rig)
+    request = request_of(DemRequest, request, options)
+    rig = read_rig(*request.rig.split(",")) if request.rig.count(",") == 1 else read_rig(request.rig)
     files = read_input(left), read_input(right)
     pictures = [read_picture(file) for file in files]
     for picture in pictures:
         check_rig_of(rig, *picture.size, picture.source.name)
         picture.check()
-    pose = None if asked.pose is None else read_pose(asked.pose)
-    nearest = asked.nearest or nearest_ground_m(rig, pose, rig.height_m)
-    farthest = asked.farthest or farthest_ground_m(rig, asked.spacing)
+    pose = None if request.pose is None else read_pose(request.pose)
+    nearest = request.nearest or nearest_ground_m(rig, pose, rig.height_m)
+    farthest = request.farthest or farthest_ground_m(rig, request.spacing)
     matches = match(pictures[0], pictures[1], rig, nearest_m=nearest, progress=progress)
     place = pose or levelled(matches, rig.height_m)
     model = grid_of(
@@ -126,12 +126,12 @@ def dem(
         rig,
         place,
         name=files[0].stem,
-        spacing_m=asked.spacing,
+        spacing_m=request.spacing,
         farthest_m=farthest,
         synthetic=any(b"SYNTHETIC" in file.data[:4000] for file in files) or "SYNTHETIC" in rig.name,
     )
     inputs = {file.name: file.sha256 for file in files}
-    inputs |= {} if asked.pose is None else {asked.pose: read_input(asked.pose).sha256}
+    inputs |= {} if request.pose is None else {request.pose: read_input(request.pose).sha256}
     return StereoTerrain(model=model, matches=matches, rig=rig, pose=place, levelled=pose is None, inputs=inputs)
 
 

@@ -186,23 +186,23 @@ def locate(
 
     Raises DataError for folders that are none and pairs that do not match, RequestError for fewer than two.
     """
-    asked = request_of(LocateRequest, request, options)
+    request = request_of(LocateRequest, request, options)
     whole = [Path(folder).resolve() for folder in stations]
     reasons = ["one station has nothing to be tied to; give two or more folders"] if len(whole) < 2 else [
         f"{folder} is given twice; each station is a folder of its own"
         for k, folder in enumerate(stations) if whole[k] in whole[:k]
     ]  # fmt: skip
     refuse(reasons, kind=RequestError)
-    rig = read_rig(asked.rig)
+    rig = read_rig(request.rig)
     inputs: dict[str, str] = {}
     names = _names(whole)
-    read = [_read(Path(folder), rig, asked, inputs) for folder in stations]
+    read = [_read(Path(folder), rig, request, inputs) for folder in stations]
     count = len(stations)
     report = progress or (lambda done, total: None)
     matched: list[Station] = []
     for number, (name, content) in enumerate(zip(names, read, strict=True)):
         report(number, 2 * count)
-        matched.append(_station(name, content, rig, asked, matched[-1] if matched else None))
+        matched.append(_station(name, content, rig, request, matched[-1] if matched else None))
     result = localise(matched, rig, progress=lambda done, total: report(count + done, 2 * count))
     made_up = "SYNTHETIC" in rig.name or any(content.synthetic for content in read)
     return LocatedStations(localised=result, rig=rig, inputs=inputs, synthetic=made_up)
@@ -228,7 +228,7 @@ class _Read(NamedTuple):
     synthetic: bool
 
 
-def _read(folder: Path, rig: StereoRig, asked: LocateRequest, inputs: dict[str, str]) -> _Read:
+def _read(folder: Path, rig: StereoRig, request: LocateRequest, inputs: dict[str, str]) -> _Read:
     """A station's folder; `inputs` takes its files. Raises DataError for what belongs to no station of this rig."""
     pose_file = read_input(folder / "pose.toml")
     files = [read_input(_picture(folder, side)) for side in SIDES]
@@ -243,21 +243,21 @@ def _read(folder: Path, rig: StereoRig, asked: LocateRequest, inputs: dict[str, 
         check_rig_of(rig, *picture.size, picture.source.name)
         picture.check()
     time_s, attitude = _more_of_pose(pose_file)
-    mast = asked.mast_m()
+    mast = request.mast_m()
     if mast is not None and attitude is None:
         raise DataError(f"{pose_file.name}: `mast` needs how the rover stood there; add {', '.join(ATTITUDE)}")
     rover = None if mast is None or attitude is None else _rover(rig, pose, attitude, mast)
     return _Read(pictures[0], pictures[1], pose, time_s, rover, any(b"SYNTHETIC" in file.data[:4000] for file in files))
 
 
-def _station(name: str, content: _Read, rig: StereoRig, asked: LocateRequest, before: Station | None) -> Station:
+def _station(name: str, content: _Read, rig: StereoRig, request: LocateRequest, before: Station | None) -> Station:
     """A station with its pair matched. Raises DataError where it does not match."""
     nearest = nearest_ground_m(rig, content.pose, rig.height_m)
     return Station(
         name=name,
         matches=match(content.left, content.right, rig, nearest_m=nearest),
         pose=content.pose,
-        covariance=_covariance(content.pose, before, asked, rig.height_m),
+        covariance=_covariance(content.pose, before, request, rig.height_m),
         time_s=content.time_s,
         rover=content.rover,
     )
@@ -289,12 +289,12 @@ def _picture(folder: Path, side: str) -> Path:
     raise DataError(f"{folder}: no {side}.png; a station is a folder with left.png, right.png and pose.toml")
 
 
-def _covariance(pose: Pose, before: Station | None, asked: LocateRequest, height_m: float) -> FloatArray:
+def _covariance(pose: Pose, before: Station | None, request: LocateRequest, height_m: float) -> FloatArray:
     """Of dead reckoning: of direction, and of the step from the station before. (6, 6)
 
     A camera at `height_m` over the wheels is moved by their way, and by what the rover leans at both stations.
     """
     way = 0.0 if before is None else float(np.linalg.norm(pose.center_m - before.pose.center_m))
-    tilt, turn = math.radians(asked.tilt_error), math.radians(asked.heading_error)
-    step = math.hypot(asked.drift * way, math.sqrt(2) * tilt * height_m)
+    tilt, turn = math.radians(request.tilt_error), math.radians(request.heading_error)
+    step = math.hypot(request.drift * way, math.sqrt(2) * tilt * height_m)
     return np.diag(np.square([tilt, tilt, turn, step, step, step]))

@@ -104,16 +104,16 @@ def merge(
 
     Raises DataError, RequestError, and ParameterError where nothing overlaps.
     """
-    asked = request_of(MergeRequest, request, options)
+    request = request_of(MergeRequest, request, options)
     names = [terrains] if isinstance(terrains, str) else list(terrains)
     inputs = {name: read_input(name).sha256 for name in names}
     models = tuple(read_elevation(name) for name in names)
     places = None
-    if asked.positions is not None:
-        source = read_input(asked.positions)
+    if request.positions is not None:
+        source = read_input(request.positions)
         inputs[source.name] = source.sha256
         places = read_positions(source, len(models))
-    merged = merged_map(models, places, spacing_m=asked.spacing, progress=progress)
+    merged = merged_map(models, places, spacing_m=request.spacing, progress=progress)
     return MergedStations(names=tuple(names), models=models, merged=merged, inputs=inputs)
 
 

@@ -132,37 +132,37 @@ def render(
 
     Raises DataError for a terrain that cannot be read, ParameterError where a camera cannot be.
     """
-    asked = request_of(RenderRequest, request, options)
-    rig = read_rig(asked.rig)
+    request = request_of(RenderRequest, request, options)
+    rig = read_rig(request.rig)
     count = round(FLAT_M / COARSE_M) + 1
-    level = (asked.x - 0.5 * FLAT_M, asked.y - 0.5 * FLAT_M, COARSE_M, np.zeros((count, count)))
+    level = (request.x - 0.5 * FLAT_M, request.y - 0.5 * FLAT_M, COARSE_M, np.zeros((count, count)))
     ground = landscape_on(
         level if terrain is None else _heights(terrain),
         name="level ground" if terrain is None else terrain,
-        seed=asked.seed,
-        rocks_per_m2=asked.rocks,
-        roughness=asked.roughness,
-        sun_azimuth_deg=asked.sun_azimuth,
-        sun_elevation_deg=asked.sun_elevation,
-        spacing_m=asked.spacing,
+        seed=request.seed,
+        rocks_per_m2=request.rocks,
+        roughness=request.roughness,
+        sun_azimuth_deg=request.sun_azimuth,
+        sun_elevation_deg=request.sun_elevation,
+        spacing_m=request.spacing,
     )
-    inputs = {name: read_input(name).sha256 for name in (terrain, asked.track) if name is not None}
-    if asked.track is not None:
-        ground = with_track(ground, *read_track(asked.track), asked.track_width)
-    low = float(np.nan_to_num(ground.ground(asked.x, asked.y)))
-    height = asked.height or rig.height_m
-    pose = Pose.looking([asked.x, asked.y, low + height], asked.heading, asked.down, asked.roll)
+    inputs = {name: read_input(name).sha256 for name in (terrain, request.track) if name is not None}
+    if request.track is not None:
+        ground = with_track(ground, *read_track(request.track), request.track_width)
+    low = float(np.nan_to_num(ground.ground(request.x, request.y)))
+    height = request.height or rig.height_m
+    pose = Pose.looking([request.x, request.y, low + height], request.heading, request.down, request.roll)
     pair = renderer.render(
         ground,
         rig,
         pose,
-        seed=asked.seed,
-        perturbed=not asked.exact,
-        law=asked.law,
-        samples=asked.samples,
+        seed=request.seed,
+        perturbed=not request.exact,
+        law=request.law,
+        samples=request.samples,
         progress=progress,
     )
-    return SyntheticPair(landscape=ground, rig=rig, pair=pair, inputs=inputs, seed=asked.seed)
+    return SyntheticPair(landscape=ground, rig=rig, pair=pair, inputs=inputs, seed=request.seed)
 
 
 def _heights(terrain: str) -> tuple[float, float, float, FloatArray]:

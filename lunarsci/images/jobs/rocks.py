@@ -100,15 +100,15 @@ def rocks(
 
     Raises DataError, RequestError, and ParameterError for a grid too coarse.
     """
-    asked = request_of(RocksRequest, request, options)
+    request = request_of(RocksRequest, request, options)
     inputs = {terrain: read_input(terrain).sha256}
     model = read_elevation(terrain)
     survey = find_rocks(
         model,
-        largest_m=asked.largest,
-        false_share=asked.false_share,
-        sizes_m=asked.diameters(),
-        seed=asked.seed,
+        largest_m=request.largest,
+        false_share=request.false_share,
+        sizes_m=request.diameters(),
+        seed=request.seed,
         progress=progress,
     )
-    return RockList(model=model, survey=survey, request=asked, inputs=inputs)
+    return RockList(model=model, survey=survey, request=request, inputs=inputs)

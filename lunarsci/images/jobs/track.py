@@ -136,26 +136,26 @@ def track(
     `terrain` is a file of heights with errors as layers. Raises DataError and RequestError, and ParameterError for a
     line that is none.
     """
-    asked = request_of(TrackRequest, request, options)
-    line = read_line(asked.line)
+    request = request_of(TrackRequest, request, options)
+    line = read_line(request.line)
     inputs = {terrain: read_input(terrain).sha256}
     model = read_elevation(terrain)
     tables: dict[str, str] = {}
     assumed: tuple[str, ...] = ()
-    width = asked.width
+    width = request.width
     if width is None:
-        rover = read_rover(asked.rover)
+        rover = read_rover(request.rover)
         width = float(rover.table("wheel")["width_m"])
-        tables = {f"{asked.rover} (rover)": sha256(rover.text.encode())}
+        tables = {f"{request.rover} (rover)": sha256(rover.text.encode())}
         assumed = ("the wheel's width",) if "wheel.width_m" in rover.assumed else ()
     depths = track_depths(
         model,
         line,
         width,
-        window_m=asked.window,
-        step_m=asked.step,
-        search_m=asked.search,
-        disparity_bias_px=asked.disparity_bias,
+        window_m=request.window,
+        step_m=request.step,
+        search_m=request.search,
+        disparity_bias_px=request.disparity_bias,
         progress=progress,
     )
     return TrackSinkage(
@@ -163,7 +163,7 @@ def track(
         line=line,
         width_m=width,
         depths=depths,
-        rebound=asked.rebound,
+        rebound=request.rebound,
         inputs=inputs,
         tables=tables,
         assumed=assumed,

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import FloatArray
-from lunarsci.figure import BLUE, VERMILION, as_label, headline, page
+from lunarsci.figure import COLORS, as_label, headline, page
 from lunarsci.provenance import plain
 from lunarsci.spectra.photometry import STANDARD
 from lunarsci.spectra.spectrum import Spectrum
@@ -22,6 +22,14 @@ from lunarsci.spectra.vnis.splice import Splice
 if TYPE_CHECKING:
     from astropy.table import Table
     from matplotlib.figure import Figure
+
+
+_PROVENANCE_HDU = "PROVENANCE"
+LOOKS: Any = {
+    "vnir": {"color": COLORS[0], "linestyle": "-"},
+    "swir": {"color": COLORS[1], "linestyle": (0, (5, 1.2))},
+}
+_SHADOW, _INVALID = (0.0, 0.62, 0.45, 0.8), (0.8, 0.47, 0.65, 0.9)
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,9 +188,6 @@ def _of_detector(item: DetectorSpectrum) -> dict[str, Any]:
     }
 
 
-_PROVENANCE_HDU = "PROVENANCE"
-
-
 def columns(calibrations: Sequence[Calibration]) -> dict[str, FloatArray]:
     """Column name to values: `wavelength_nm`, then ID, ID_sigma and ID_systematic_NAME of every observation.
 
@@ -240,13 +245,6 @@ def _description(calibrations: Sequence[Calibration]) -> dict[str, Any]:
         "title": f"SYNTHETIC {title}" if synthetic else title,
         "observations": [plain(item.summary()) for item in calibrations],
     }
-
-
-LOOKS: Any = {
-    "vnir": {"color": BLUE, "linestyle": "-"},
-    "swir": {"color": VERMILION, "linestyle": (0, (5, 1.2))},
-}
-_SHADOW, _INVALID = (0.0, 0.62, 0.45, 0.8), (0.8, 0.47, 0.65, 0.9)
 
 
 def calibration_pages(calibrations: Sequence[Calibration]) -> "Iterator[Figure]":

@@ -41,6 +41,20 @@ TABLES = ("vnis_fwhm.csv", "vnis_noise.csv")
 _FWHM, _NOISE = TABLES
 
 
+_SHIFTS = (-2, -1, 1, 2)
+_LARGEST_SHIFT = 2
+_CLEARER, _SURE = 0.1, 4.0
+"""How much better lines of the Sun must fit elsewhere, as a difference of correlations, and how well: in standard
+deviations of what noise of n channels gives, 1 / sqrt(n). Measured: of the 88 spectra all fit best where they are, VNIR
+by 0.059 at least, SWIR by 0.019. Shifted by a channel up or down, 85 and 85 of 88 are found in VNIR, 79 and 77 in SWIR.
+[-]"""
+_SITES_NM: dict[Detector, tuple[float, ...]] = {"vnir": VNIR_SUB_BANDS_NM, "swir": (SUB_BAND_STEP_NM,)}
+_STEP = 16
+"""Of every so many lines and samples the numbers are compared first; those that agree are compared whole."""
+_RUN = 3
+"""Rows of a run: fewer equal ones are found by chance; assumed."""
+
+
 def fwhm_nm(wavelength_nm: FloatArray, detector: Detector) -> FloatArray:
     """Full width at half maximum of the channels of one detector. [nm]
 
@@ -91,15 +105,6 @@ def _by_channel(table: str, wavelength_nm: FloatArray, detector: Detector, names
     return [np.array([float(row[name]) for row in rows])[place] for name in names]
 
 
-_SHIFTS = (-2, -1, 1, 2)
-_LARGEST_SHIFT = 2
-_CLEARER, _SURE = 0.1, 4.0
-"""How much better lines of the Sun must fit elsewhere, as a difference of correlations, and how well: in standard
-deviations of what noise of n channels gives, 1 / sqrt(n). Measured: of the 88 spectra all fit best where they are, VNIR
-by 0.059 at least, SWIR by 0.019. Shifted by a channel up or down, 85 and 85 of 88 are found in VNIR, 79 and 77 in SWIR.
-[-]"""
-
-
 def displaced_channels(radiance: FloatArray, irradiance: FloatArray) -> int:
     """By how many channels the lines of the Sun lie off their place, towards longer wavelengths; 0 if they do not.
 
@@ -143,7 +148,6 @@ _EDGES: dict[Detector, tuple[_Edge, ...]] = {
 }
 """Measured, largest of the 88 spectra: VNIR 0.185 and 8.2 times the median, SWIR 0.077 with 5 channels on either side
 and 0.054 with 8; of 409 laboratory spectra at 5 nm 0.025 and 0.041. [-]"""
-_SITES_NM: dict[Detector, tuple[float, ...]] = {"vnir": VNIR_SUB_BANDS_NM, "swir": (SUB_BAND_STEP_NM,)}
 
 
 def scale_step(detector: Detector, wavelength_nm: FloatArray, reflectance: FloatArray) -> tuple[float, float]:
@@ -197,10 +201,6 @@ def channel_doubts(
     return doubts
 
 
-_STEP = 16
-"""Of every so many lines and samples the numbers are compared first; those that agree are compared whole."""
-
-
 def equal_frames(cube: npt.NDArray[np.float32]) -> tuple[int, int] | None:
     """Two images with the same numbers, by their places in the cube; None if all differ, or are of one value."""
     seen: dict[bytes, int] = {}
@@ -212,10 +212,6 @@ def equal_frames(cube: npt.NDArray[np.float32]) -> tuple[int, int] | None:
         if other != band and np.array_equal(cube[other], frame, equal_nan=True):
             return other, band
     return None
-
-
-_RUN = 3
-"""Rows of a run: fewer equal ones are found by chance; assumed."""
 
 
 def repeated_rows(radiance: FloatArray) -> tuple[int, int] | None:

@@ -47,6 +47,23 @@ since 2019-07-09 (CNSA 2019, Lunar and Planetary Data Release System)."""
 WAVELENGTHS: dict[Detector, FloatArray] = {"vnir": VNIR_NM, "swir": SWIR_NM}
 
 
+_NOISY = 1 + 0.15 * NormalDist().inv_cdf(1 - SIGNIFICANCE / 2)
+"""A sub-band whose channels scatter more than so many times the instrument's figures has its errors enlarged: 1.39,
+which `SIGNIFICANCE` of sub-bands exceed by chance, since without excess the estimate was seen to scatter by 0.1 to
+0.2."""
+_SUB_BANDS_NM: dict[Detector, tuple[float, ...]] = {"vnir": VNIR_SUB_BANDS_NM, "swir": (SUB_BAND_STEP_NM, 1997.5)}
+"""Where the filters change their sub-bands: see `SUB_BAND_STEP_NM`; that at 1997.5 nm only splits the scatter,
+assumed."""
+RANGE = (0.001, 2.0)
+"""Reflectance factors that lit lunar ground may have; assumed. [-]"""
+_NEIGHBOURS = 5
+_FAR: dict[Detector, float] = {"vnir": 0.3, "swir": 0.12}
+"""ln R this far from its neighbours is no rock; measured: 88 Chang'E-4 spectra have up to 0.29 in VNIR, at 455 nm, and
+0.09 in SWIR, 409 laboratory spectra at 5 nm up to 0.07 and 0.03. [-]"""
+_FAR_MEDIANS, _SCATTER = 9.0, 15
+"""In noise, this many times the median of so many channels on either side: six standard deviations. Assumed."""
+
+
 def reflectance_factor(
     radiance: FloatArray, irradiance: FloatArray, incidence_deg: float, distance_au: float
 ) -> FloatArray:
@@ -153,15 +170,6 @@ def default_settings() -> Settings:
     )
 
 
-_NOISY = 1 + 0.15 * NormalDist().inv_cdf(1 - SIGNIFICANCE / 2)
-"""A sub-band whose channels scatter more than so many times the instrument's figures has its errors enlarged: 1.39,
-which `SIGNIFICANCE` of sub-bands exceed by chance, since without excess the estimate was seen to scatter by 0.1 to
-0.2."""
-_SUB_BANDS_NM: dict[Detector, tuple[float, ...]] = {"vnir": VNIR_SUB_BANDS_NM, "swir": (SUB_BAND_STEP_NM, 1997.5)}
-"""Where the filters change their sub-bands: see `SUB_BAND_STEP_NM`; that at 1997.5 nm only splits the scatter,
-assumed."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class DetectorSpectrum:
     """What one detector measured; arrays have one value per channel, NaN where it is not used.
@@ -255,16 +263,6 @@ def _excess(detector: Detector, wavelength: FloatArray, observed: FloatArray, fi
             ratio = np.log(observed[good]) / figures[good]
             excess[part] = np.median(scatter_noise(ratio - np.median(ratio)))
     return excess
-
-
-RANGE = (0.001, 2.0)
-"""Reflectance factors that lit lunar ground may have; assumed. [-]"""
-_NEIGHBOURS = 5
-_FAR: dict[Detector, float] = {"vnir": 0.3, "swir": 0.12}
-"""ln R this far from its neighbours is no rock; measured: 88 Chang'E-4 spectra have up to 0.29 in VNIR, at 455 nm, and
-0.09 in SWIR, 409 laboratory spectra at 5 nm up to 0.07 and 0.03. [-]"""
-_FAR_MEDIANS, _SCATTER = 9.0, 15
-"""In noise, this many times the median of so many channels on either side: six standard deviations. Assumed."""
 
 
 def outlying(detector: Detector, reflectance: FloatArray) -> BoolArray:

@@ -24,6 +24,23 @@ _NAME = re.compile(
 _LONGEST_NAME = 255
 
 
+_ANGLES = ("incidence_angle", "azimuth_angle", "phase_angle")
+SUN_DEG, WRONG_DEG = 0.3, 3.0
+"""An incidence further than the first from the Sun's is in doubt, an angle further than the second from what others
+give is wrong: the two labels of observation 136 agree with the Sun to 0.01 deg, which moves by 0.5 deg in an hour, and
+with their own directions to 0.02 deg. 0.3 deg change the reflectance by 1 % at 64 deg, by 2 % at 77 deg. Assumed."""
+_YEARS = (2013, 2100)
+"""No VNIS flew before Chang'E-3."""
+LONGEST = timedelta(days=1)
+"""What belongs to one observation, which takes about eight minutes, lies nearer together; assumed."""
+_WHOLE = re.compile(r"[0-9]{0,15}")
+_PLAIN = {
+    **{"scaling_factor": ("1", "1.0"), "value_offset": ("0", "0.0"), "offset": ("0", "0.0")},
+    "axis_index_order": ("last index fastest",),
+}
+"""What elements of a label say, where they say something; values are radiances as they stand in the file."""
+
+
 @dataclass(frozen=True, slots=True)
 class ProductName:
     """A name taken apart, letters in upper case.
@@ -86,23 +103,6 @@ def check_supported(name: ProductName, file: str) -> None:
         why = f"the product {name.kind}, not an image cube VD or a table SD; name one of these"
     if why:
         raise DataError(f"{file}: is {why}")
-
-
-_ANGLES = ("incidence_angle", "azimuth_angle", "phase_angle")
-SUN_DEG, WRONG_DEG = 0.3, 3.0
-"""An incidence further than the first from the Sun's is in doubt, an angle further than the second from what others
-give is wrong: the two labels of observation 136 agree with the Sun to 0.01 deg, which moves by 0.5 deg in an hour, and
-with their own directions to 0.02 deg. 0.3 deg change the reflectance by 1 % at 64 deg, by 2 % at 77 deg. Assumed."""
-_YEARS = (2013, 2100)
-"""No VNIS flew before Chang'E-3."""
-LONGEST = timedelta(days=1)
-"""What belongs to one observation, which takes about eight minutes, lies nearer together; assumed."""
-_WHOLE = re.compile(r"[0-9]{0,15}")
-_PLAIN = {
-    **{"scaling_factor": ("1", "1.0"), "value_offset": ("0", "0.0"), "offset": ("0", "0.0")},
-    "axis_index_order": ("last index fastest",),
-}
-"""What elements of a label say, where they say something; values are radiances as they stand in the file."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,6 +45,17 @@ _SLACK = timedelta(minutes=10)
 """Beyond the times of a label, or of the session in its name: the first row may precede its label; assumed."""
 
 
+Cube = npt.NDArray[np.float32]
+CUBE_BYTES = 4 * int(np.prod(CUBE_SHAPE))
+_AXES = tuple(zip(("band", "line", "sample"), CUBE_SHAPE, strict=True))
+_TYPES = {"ieee754lsbsingle": "<f4", "ieee754msbsingle": ">f4"}
+_PLAUSIBLE = (1e-8, 1e3)
+"""Radiance of sunlit ground is some 1e-4 to 1 W m-2 sr-1 nm-1; numbers far from it are not radiance. Assumed. [same]"""
+_SWIR_COLUMNS = ("time", "band", "integration time", "solar elevation", "radiance", "quality")
+_VNIR_COLUMNS = ("time", "band", "integration time", "solar elevation", "quality")
+_CODE = re.compile(r"(0[xX])?[0-9a-fA-F]{1,8}", re.ASCII)
+
+
 def doubts_of(label: Label) -> list[str]:
     """Why a label cannot be trusted, one sentence each; none for a sound one.
 
@@ -83,15 +94,6 @@ def _of_session(label: Label) -> str:
     return says
 
 
-Cube = npt.NDArray[np.float32]
-
-CUBE_BYTES = 4 * int(np.prod(CUBE_SHAPE))
-_AXES = tuple(zip(("band", "line", "sample"), CUBE_SHAPE, strict=True))
-_TYPES = {"ieee754lsbsingle": "<f4", "ieee754msbsingle": ">f4"}
-_PLAUSIBLE = (1e-8, 1e3)
-"""Radiance of sunlit ground is some 1e-4 to 1 W m-2 sr-1 nm-1; numbers far from it are not radiance. Assumed. [same]"""
-
-
 def read_cube(source: InputFile, label: Label) -> Cube:
     """Radiance as the file has it, shape (100, 256, 256); read-only and not copied. [W m-2 sr-1 nm-1]
 
@@ -126,11 +128,6 @@ def _implausible(cube: npt.NDArray[np.floating]) -> bool:
         size = size[(size != 0) & ~np.isnan(size)]
     low, high = np.quantile(size, (0.25, 0.75)) if size.size else _PLAUSIBLE
     return not _PLAUSIBLE[0] <= low <= high <= _PLAUSIBLE[1]
-
-
-_SWIR_COLUMNS = ("time", "band", "integration time", "solar elevation", "radiance", "quality")
-_VNIR_COLUMNS = ("time", "band", "integration time", "solar elevation", "quality")
-_CODE = re.compile(r"(0[xX])?[0-9a-fA-F]{1,8}", re.ASCII)
 
 
 @dataclass(frozen=True, slots=True)

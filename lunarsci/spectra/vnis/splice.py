@@ -25,6 +25,25 @@ from lunarsci.spectra.vnis.detector import DetectorSpectrum, Settings, irradianc
 _LEAST_CHANNELS = 5
 
 
+CALIBRATION = {"vnir": 0.05, "swir": 0.07}
+"""Relative error of the level of each detector, as quoted for the instrument; assumed, the source could not be read.
+The error of the Sun's level, 0.6 %, is small beside it. [-]"""
+GAIN_LIMIT = 2 * math.hypot(*CALIBRATION.values())
+"""A gain further from 1 than this is worth a warning: twice the errors of both levels together, 0.17."""
+OVERLAP_ERROR = 0.01
+"""What the overlap does not tell about the rest of VNIR, measured: on 88 Chang'E-4 spectra scaled to SWIR at 900 nm the
+jump that remains at 897.5 nm is 1.45 % in the median. [-]"""
+_FEWEST_GAINS = 5
+_OVERLAP_NM: FloatArray = np.intersect1d(VNIR_NM, SWIR_NM)
+_VNIR_OVERLAP, _SWIR_OVERLAP = np.isin(VNIR_NM, _OVERLAP_NM), np.isin(SWIR_NM, _OVERLAP_NM)
+_BELOW_JOIN = VNIR_NM < JOIN_NM
+_SMOOTH_CHANNELS = 21
+"""Over so many channels a difference of two solar spectra is broad, not detail; assumed."""
+_NEGLIGIBLE = 1e-5
+Shift = tuple[FloatArray, FloatArray]
+"""Shifts of ln R of VNIR, shape (100,), and of SWIR, shape (300,)."""
+
+
 @dataclass(frozen=True, slots=True)
 class StepSite:
     """A place where a step is looked for.
@@ -85,18 +104,8 @@ def find_step(site: StepSite, wavelength_nm: FloatArray, reflectance: FloatArray
     return Step(site.at_nm, float(np.exp(-solution[3])), float(error))
 
 
-CALIBRATION = {"vnir": 0.05, "swir": 0.07}
-"""Relative error of the level of each detector, as quoted for the instrument; assumed, the source could not be read.
-The error of the Sun's level, 0.6 %, is small beside it. [-]"""
-GAIN_LIMIT = 2 * math.hypot(*CALIBRATION.values())
-"""A gain further from 1 than this is worth a warning: twice the errors of both levels together, 0.17."""
 STEP_LIMIT = NormalDist().inv_cdf(1 - SIGNIFICANCE / 2) * SWIR_STEP.typical
 """So is a step between the sub-bands of SWIR that `SIGNIFICANCE` of them exceed, 0.039."""
-OVERLAP_ERROR = 0.01
-"""What the overlap does not tell about the rest of VNIR, measured: on 88 Chang'E-4 spectra scaled to SWIR at 900 nm the
-jump that remains at 897.5 nm is 1.45 % in the median. [-]"""
-
-_FEWEST_GAINS = 5
 
 
 def usual_gains(gains: Sequence[float]) -> list[float | None]:
@@ -112,11 +121,6 @@ def usual_gains(gains: Sequence[float]) -> list[float | None]:
     scatter = max(math.hypot(OVERLAP_ERROR, SWIR_STEP.typical) * middle, robust_scatter(np.array(gains)))
     limit = NormalDist().inv_cdf(1 - SIGNIFICANCE / 2 / len(gains)) * scatter
     return [middle if abs(gain - middle) > limit else None for gain in gains]
-
-
-_OVERLAP_NM: FloatArray = np.intersect1d(VNIR_NM, SWIR_NM)
-_VNIR_OVERLAP, _SWIR_OVERLAP = np.isin(VNIR_NM, _OVERLAP_NM), np.isin(SWIR_NM, _OVERLAP_NM)
-_BELOW_JOIN = VNIR_NM < JOIN_NM
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,15 +225,6 @@ def _vnir_steps(vnir: FloatArray, sigma: FloatArray) -> tuple[Step, ...]:
         except DataError:  # masked channels: this one stays as it is, and the modes say so
             continue
     return tuple(result)
-
-
-_SMOOTH_CHANNELS = 21
-"""Over so many channels a difference of two solar spectra is broad, not detail; assumed."""
-_NEGLIGIBLE = 1e-5
-
-
-Shift = tuple[FloatArray, FloatArray]
-"""Shifts of ln R of VNIR, shape (100,), and of SWIR, shape (300,)."""
 
 
 def shared_errors(

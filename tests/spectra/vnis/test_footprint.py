@@ -37,25 +37,23 @@ class Expected:
     dilution: float
 
 
-def clipping_level(frame: list[float]) -> tuple[float, bool]:
+def clipping_level(frame: np.ndarray) -> tuple[float, bool]:
     """The value from which a frame is clipped, and whether it is of one value."""
-    known = [value for value in frame if math.isfinite(value)]
-    if not known:
-        return math.inf, False
-    largest = max(known)
-    if min(known) == largest:
-        return math.inf, True
-    return (largest if largest > 0 and known.count(largest) >= 20 else math.inf), False
+    known = frame[np.isfinite(frame)]
+    largest, count = (float(known.max()), int((known == known.max()).sum())) if known.size else (0.0, 0)
+    if count == known.size:
+        return math.inf, bool(count)
+    return (largest if largest > 0 and count >= 20 else math.inf), False
 
 
 def expected(cube: np.ndarray, limit: float) -> Expected:
     clipped: list[int] = []
-    frames = [frame.ravel().tolist() for frame in cube]
+    frames = [dict(zip(PIXELS, frame.ravel()[PIXELS].tolist(), strict=True)) for frame in cube]
     dark = {pixel: frames[SHADOW_BAND][pixel] for pixel in PIXELS}
     invalid = {pixel for pixel, value in dark.items() if not math.isfinite(value)}
     shadowed = {pixel for pixel, value in dark.items() if value < limit} - invalid
     bright = [pixel for pixel in PIXELS if pixel not in invalid and pixel not in shadowed]
-    levels = [clipping_level(frame) for frame in frames]
+    levels = [clipping_level(frame) for frame in cube]
     too_many = set()
     for band, (frame, (level, _)) in enumerate(zip(frames, levels, strict=True)):
         over = {pixel for pixel in bright if math.isfinite(level) and frame[pixel] >= level}
@@ -72,7 +70,7 @@ def expected(cube: np.ndarray, limit: float) -> Expected:
         found.negative.append(sum(value <= 0 for value in values))
         good = [value for value in values if math.isfinite(value) and value > 0]
         found.count.append(len(good))
-        enough = band not in too_many and len(good) >= max(1, len(lit) / 2)
+        enough = band not in too_many and len(good) >= max(1, 0.95 * len(lit))
         found.mean.append(math.fsum(good) / len(good) if enough else math.nan)
         found.scatter.append((statistics.stdev(good) if len(good) > 1 else 0.0) if enough else math.nan)
         if band >= FIRST_OVERLAP:
@@ -111,6 +109,7 @@ def shadow(cube: np.ndarray) -> None:
 def missing(cube: np.ndarray) -> None:
     cube[:, 130:134, 90:100] = np.nan
     cube[20, 140:150, 90:100] = np.nan
+    cube[30, 100:130, 80:110] = np.nan
     cube[7] = np.nan
 
 

@@ -48,29 +48,15 @@ def test_a_name_is_taken_apart() -> None:
     assert (name.mission, name.instrument, name.kind, name.role) == ("CE4", "VNIS", "VD", "SCI")
     assert (name.start, name.stop, name.sequence) == ("20200716031001", "20200716100000", "0136")
     assert (name.version, name.level, name.is_label, name.synthetic) == ("B", "2B", True, False)
-    assert name.observation == "CE4-0136"
-
-
-@pytest.mark.parametrize(
-    ("file", "observation", "kind", "is_label"),
-    [
+    for file, *wanted in (
         ("ce4_gras_vnis-sd_sci_n_20250729024000_20250729042000_0357_b.2bl", "CE4-0357", "SD", True),
         ("SYNTHETIC_CE4_GRAS_VNIS-SD_SCI_N_20200716081709_20200716082500_0001_B.2B", "SYNTHETIC-CE4-0001", "SD", False),
         ("CE5-L_GRAS_LMS-C-C000_SCI_N_20201202000000_20201202001000_0019_A.2B", "CE5-0019", "C", False),
         ("CE3_BMYK_VNIS-CD_SCI_N_20131223021320_20131223021320_0005_A.2A", "CE3-0005", "CD", False),
-    ],
-)
-def test_names_in_other_letters_and_of_other_instruments(
-    file: str, observation: str, kind: str, is_label: bool
-) -> None:
-    name = product_name(file)
-    assert name is not None
-    assert (name.observation, name.kind, name.is_label) == (observation, kind, is_label)
-
-
-@pytest.mark.parametrize(
-    "file",
-    [
+    ):
+        other = product_name(file)
+        assert other is not None and [other.observation, other.kind, other.is_label] == wanted
+    for file in (
         "",
         "notes.txt",
         "CE4_GRAS_VNIS-VD_SCI_N_20200716031001_20200716100000_0136_B.2BL.txt",
@@ -78,13 +64,11 @@ def test_names_in_other_letters_and_of_other_instruments(
         "CE4_GRAS_PCAML-C-012_SCI_N_20190111072202_20190111072202_0009_B.2B",
         "SYNTHETIC_CE4_GRAS_VNIS_20200716081709_20200716082500_0001_truth.json",
         "CE4_GRAS_VNIS-VD_SCI_N_20200716031001_20200716100000_0136_B.2B\nx",
-    ],
-)
-def test_other_names(file: str) -> None:
-    assert product_name(file) is None
+    ):
+        assert product_name(file) is None
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_parts_of_an_observation_become_one_path(seed: int) -> None:
     listed = [f"d/{name}" for name in names(136) + names(137)]
     random.Random(seed).shuffle(listed)
@@ -92,6 +76,7 @@ def test_the_parts_of_an_observation_become_one_path(seed: int) -> None:
     assert sorted(product_name(path).sequence for path in chosen) == ["0136", "0137"]  # type: ignore[union-attr]
     assert not any("AUX" in path for path in chosen)
     assert set(chosen) <= set(listed)
+    assert one_per_observation([]) == []
 
 
 def test_folders_and_missions_are_kept_apart() -> None:
@@ -117,10 +102,6 @@ def test_other_files_stay_in_their_place() -> None:
     ]  # fmt: skip
 
 
-def test_nothing_of_nothing() -> None:
-    assert one_per_observation([]) == []
-
-
 def test_what_is_not_read_stands_for_an_observation_only_alone() -> None:
     """So that naming it still tells why it is not read, and a folder that has it too is not disturbed."""
     raw = names(136)[0].replace(".2BL", ".2AL")
@@ -141,20 +122,16 @@ def test_the_parts_are_found_from_any_of_them(tmp_path: Path, part: int) -> None
     assert [found.cube_label, found.cube, found.table_label, found.table, found.flags] == paths
 
 
-def test_the_auxiliary_table_may_be_missing(tmp_path: Path) -> None:
+def test_the_parts_are_of_one_version_and_the_auxiliary_table_may_be_missing(tmp_path: Path) -> None:
     paths = touch(tmp_path, names(136)[:4])
     assert find_parts(paths[0]).flags is None
-    # That of another version is not taken.
     touch(tmp_path, names(136, "A"))
     assert find_parts(paths[0]).flags is None
-
-
-@pytest.mark.parametrize("version", ["A", "B"])
-def test_the_parts_are_of_one_version(tmp_path: Path, version: str) -> None:
-    touch(tmp_path, names(136, "A") + names(136, "B"))
-    found = find_parts(str(tmp_path / names(136, version)[2]))
-    for path in (found.cube_label, found.cube, found.table_label, found.table, found.flags):
-        assert product_name(path).version == version  # type: ignore[union-attr,arg-type]
+    touch(tmp_path, names(136))
+    for version in "AB":
+        found = find_parts(str(tmp_path / names(136, version)[2]))
+        for path in (found.cube_label, found.cube, found.table_label, found.table, found.flags):
+            assert product_name(path).version == version  # type: ignore[union-attr,arg-type]
 
 
 def test_a_partner_of_another_session_is_taken_by_its_sequence_number(tmp_path: Path) -> None:
@@ -170,29 +147,25 @@ def test_a_product_in_the_working_folder(tmp_path: Path, monkeypatch: pytest.Mon
     assert [found.cube_label, found.table] == [names(136)[0], names(136)[3]]
 
 
-@pytest.mark.parametrize("part", range(4))
-def test_a_missing_part_is_named(tmp_path: Path, part: int) -> None:
-    whole = touch(tmp_path, names(136))
-    Path(whole[part]).unlink()
-    what = ("label of its VD", "data file of its VD", "label of its SD", "data file of its SD")[part]
-    with pytest.raises(DataError, match=rf"^CE4-0136: no {what} product, version B, in .*; put it there$"):
-        find_parts(whole[(part + 1) % 4])
+OTHER = names(136, stamp="20200716031000_20200716100059")
 
 
-def test_a_part_of_another_version_is_told(tmp_path: Path) -> None:
-    touch(tmp_path, names(136, "B")[:2] + names(136, "A"))
-    with pytest.raises(DataError, match=r"no label of its SD product, version B, .*there is only CE4.*_A\.2BL"):
-        find_parts(str(tmp_path / names(136, "B")[0]))
-
-
-def test_two_parts_are_told(tmp_path: Path) -> None:
-    other = names(136, stamp="20200716031000_20200716100059")
-    touch(tmp_path, [*names(136), other[3]])
-    with pytest.raises(DataError, match="are both the data file of its SD product; keep one of them"):
+@pytest.mark.parametrize(
+    ("there", "message"),
+    [
+        (names(136)[1:], "^CE4-0136: no label of its VD product, version B, in .*; put it there$"),
+        ([*names(136)[:1], *names(136)[2:]], "no data file of its VD product"),
+        ([*names(136)[:2], *names(136)[3:]], "no label of its SD product"),
+        ([*names(136)[:3], *names(136)[4:]], "no data file of its SD product"),
+        (names(136)[:2] + names(136, "A"), r"no label of its SD product, version B, .*there is only CE4.*_A\.2BL"),
+        ([*names(136), OTHER[3]], "are both the data file of its SD product; keep one of them"),
+        ([*names(136), OTHER[4]], "are both the auxiliary table of its VD product; keep one of them"),
+    ],
+)
+def test_missing_and_double_parts_are_named(tmp_path: Path, there: list[str], message: str) -> None:
+    touch(tmp_path, there)
+    with pytest.raises(DataError, match=message):
         find_parts(str(tmp_path / names(136)[0]))
-
-
-def test_a_folder_that_is_not_there() -> None:
     with pytest.raises(DataError, match="no label of its VD product, version B, in /nowhere/at/all"):
         find_parts(f"/nowhere/at/all/{names(136)[0]}")
 

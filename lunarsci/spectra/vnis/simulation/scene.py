@@ -20,6 +20,22 @@ from lunarsci.spectra.vnis.channels import FOOTPRINT, IMAGE_NM, SWIR_NM, VNIR_NM
 from lunarsci.spectra.vnis.label import SUN_DEG
 from lunarsci.sun import sun_in_moon_frame, sun_incidence_deg, upward
 
+SITE = (177.585, -45.44)
+"""Longitude and latitude of the rover: by the labels of Chang'E-4 (CNSA 2020, Lunar and Planetary Data Release System).
+[deg]"""
+SWIR_STEP = timedelta(seconds=1.068)
+"""See `VNIR_STEP`."""
+SWIR_BREAK = timedelta(seconds=21.944)
+"""Extra pause after channel 95, where the filter changes its sub-band: see `VNIR_STEP`."""
+VNIR_DELAY = timedelta(seconds=49.5)
+"""See `VNIR_STEP`."""
+VNIR_STEP = timedelta(seconds=0.806)
+"""Clock of a measurement, about that of observation 136 of Chang'E-4 (CNSA 2020, Lunar and Planetary Data Release
+System): the short-wave scan first, then the images."""
+SWIR_MORE_INCIDENCE_DEG = 0.0334
+"""The sun rises between the scans: 64.445 deg in the short-wave label of observation 136 (CNSA 2020), 64.412 deg in the
+other."""
+
 
 class SceneBand(NamedTuple):
     """A band: the mineral it belongs to, '' for all materials; strength where that is all there is [ln R]; [nm, nm]."""
@@ -45,21 +61,6 @@ BANDS = {
 }
 """Centres are about those of olivine Fo 85, orthopyroxene Fs 20 and augite in laboratory spectra, widths and strengths
 assumed. Not from the table of priors, so that a simulation does not know what a fit expects."""
-SITE = (177.585, -45.44)
-"""Longitude and latitude of the rover: by the labels of Chang'E-4 (CNSA 2020, Lunar and Planetary Data Release System).
-[deg]"""
-SWIR_STEP = timedelta(seconds=1.068)
-"""See `VNIR_STEP`."""
-SWIR_BREAK = timedelta(seconds=21.944)
-"""Extra pause after channel 95, where the filter changes its sub-band: see `VNIR_STEP`."""
-VNIR_DELAY = timedelta(seconds=49.5)
-"""See `VNIR_STEP`."""
-VNIR_STEP = timedelta(seconds=0.806)
-"""Clock of a measurement, about that of observation 136 of Chang'E-4 (CNSA 2020, Lunar and Planetary Data Release
-System): the short-wave scan first, then the images."""
-SWIR_MORE_INCIDENCE_DEG = 0.0334
-"""The sun rises between the scans: 64.445 deg in the short-wave label of observation 136 (CNSA 2020), 64.412 deg in the
-other."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -47,38 +47,6 @@ NAMESPACES = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Field:
-    """A column: name, first character, data type, length, format, unit or none, description."""
-
-    name: str
-    location: int
-    data_type: str
-    length: int
-    format: str
-    unit: str
-    description: str
-
-
-# A few characters beyond ASCII, as the public labels have them: a reader must get past these.
-_TIME = Field("Time", 1, "ASCII_Time", 24, "A24", "YYYY-MM-DDThh:mm:ss.msZ", "合成: simulated time of the channel, UTC")
-SWIR_FIELDS = (
-    _TIME,
-    Field("Data_Identifier", 26, "ASCII_Integer", 3, "I3", "", "合成: channel, 0-299"),
-    Field("Visible_Bands_Integration_Time", 30, "ASCII_Real", 5, "F5.1", "ms", "合成: nominal integration time"),
-    Field("Solar_Elevation_Angle", 36, "ASCII_String", 4, "A4", "", "合成: constant code"),
-    Field("Spectrum_data1", 41, "ASCII_Real", 12, "E12.5[E3]", "", "合成: simulated radiance"),
-    Field("Quality_Code", 54, "ASCII_String", 4, "A4", "", "合成: always good"),
-)
-AUX_FIELDS = (
-    _TIME,
-    Field("Data_Identifier", 26, "ASCII_String", 2, "I2", "", "合成: channel, 0-99"),
-    Field("Visible_Bands_Integration_Time", 29, "ASCII_Real", 5, "F5.1", "ms", "合成: nominal integration time"),
-    Field("Solar_Elevation_Angle", 35, "ASCII_String", 4, "A4", "", "合成: constant code"),
-    Field("Quality_Code", 40, "ASCII_String", 4, "A4", "", "合成: always good"),
-)
-
-
 _LABEL = """\
 Product_Observational {namespaces}
  Identification_Area
@@ -220,6 +188,38 @@ _COLUMN = """\
      field_length unit="byte": {column.length}
      field_format: {column.format}
 {unit}     description: {column.description}"""
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """A column: name, first character, data type, length, format, unit or none, description."""
+
+    name: str
+    location: int
+    data_type: str
+    length: int
+    format: str
+    unit: str
+    description: str
+
+
+# A few characters beyond ASCII, as the public labels have them: a reader must get past these.
+_TIME = Field("Time", 1, "ASCII_Time", 24, "A24", "YYYY-MM-DDThh:mm:ss.msZ", "合成: simulated time of the channel, UTC")
+SWIR_FIELDS = (
+    _TIME,
+    Field("Data_Identifier", 26, "ASCII_Integer", 3, "I3", "", "合成: channel, 0-299"),
+    Field("Visible_Bands_Integration_Time", 30, "ASCII_Real", 5, "F5.1", "ms", "合成: nominal integration time"),
+    Field("Solar_Elevation_Angle", 36, "ASCII_String", 4, "A4", "", "合成: constant code"),
+    Field("Spectrum_data1", 41, "ASCII_Real", 12, "E12.5[E3]", "", "合成: simulated radiance"),
+    Field("Quality_Code", 54, "ASCII_String", 4, "A4", "", "合成: always good"),
+)
+AUX_FIELDS = (
+    _TIME,
+    Field("Data_Identifier", 26, "ASCII_String", 2, "I2", "", "合成: channel, 0-99"),
+    Field("Visible_Bands_Integration_Time", 29, "ASCII_Real", 5, "F5.1", "ms", "合成: nominal integration time"),
+    Field("Solar_Elevation_Angle", 35, "ASCII_String", 4, "A4", "", "合成: constant code"),
+    Field("Quality_Code", 40, "ASCII_String", 4, "A4", "", "合成: always good"),
+)
 
 
 def product_label(product: str, scene: Scene, detector: Detector, sizes: Mapping[str, int], created: datetime) -> bytes:
