@@ -58,7 +58,7 @@ MIN_SIGNIFICANCE = 4.5
 """Depth over its standard error below which there is no band. Measured: the deepest of many channels of pure noise
 exceeds 3 in a quarter and 4.5 in 0.4 % of the windows of 400 simulated flat spectra."""
 END_CHANNELS, RUNAWAY_SHARE = 8, 0.5
-"""An extrapolated continuum that is this share of the band's depth above the last channels is not used; assumed. On 172
+"""An extrapolated continuum that is this share of the band's depth above the last channels is not used. On 172
 laboratory and 88 rover spectra it parts the centres that agree with the hull's from those that do not.
 """
 MAX_CENTER_SIGMA_NM = 100.0
@@ -69,8 +69,8 @@ assumed."""
 CROSSING_SHARE = 0.25
 """A continuum may run below the smoothed spectrum by this share of the band's depth, no more; assumed."""
 WIDTHS_NM = ((1900.0, 570.0), (2200.0, 690.0))
-"""Centres of 2 um bands and their widths at half depth: those of OPX 2 and CPX 2 in `mgm_bands.csv`; that they go over
-into each other linearly is assumed. [nm]"""
+"""Centres of 2 um bands and their widths at half depth: those of OPX 2 and CPX 2 in `mgm_bands.csv`; between them widths
+are interpolated. [nm]"""
 
 
 def short_by(center_nm: FloatArray, last_nm: float) -> FloatArray:
@@ -359,10 +359,10 @@ NARROW_WINDOW_NM, NARROW_REACH_NM, NARROW_DEGREE, NARROW_CHANNELS = 220.0, 70.0,
 """A Gaussian on a cubic in ln R so far to both sides, or so far at least, and channels that it takes; assumed. A cubic
 follows the floor of a band 500 nm wide to 2 % of its depth. [nm]"""
 NARROW_WIDEST_NM = 135.0
-"""Wider ones are not called narrow: what a cubic leaves of a wide band looks like a Gaussian of 170 nm and more;
-assumed, on spectra of pyroxenes (RELAB). [nm]"""
+"""Wider ones are not called narrow: what a cubic leaves of a wide band looks like a Gaussian of 170 nm and more,
+on spectra of pyroxenes (RELAB). [nm]"""
 EXPLAINED = 0.5
-"""Least share of what the cubic leaves, sum of squares, that the Gaussian takes away; assumed. It takes 0.3 at
+"""Least share of what the cubic leaves, sum of squares, that the Gaussian takes away. It takes 0.3 at
 most in 57 Chang'E-4 spectra with a 2 um band, whose scatter makes sharp dips."""
 SIGNIFICANT = 6.0
 """Least strength of the Gaussian over its standard error, which decides where channels are few; assumed, as the most of

@@ -550,7 +550,7 @@ COARSE_DOUBT = 3.0
 MAX_ROUNDS = 4
 FIRST_DAMPING, LATER_DAMPING = 1e-3, 1e-6
 SIGNIFICANT = 2.0
-"""Standard errors from which a difference counts, and a band, as in 19 of 20 cases of a normal law; assumed."""
+"""Standard errors from which a difference counts, and a band: the level of 95 % of all tests of this model."""
 COMPETING_CHI2 = SIGNIFICANT**2 + COARSE_TOLERANCE
 """A minimum higher by this or more on the coarse spectrum is no competitor of the best."""
 SAME_SIGMAS = 0.5
