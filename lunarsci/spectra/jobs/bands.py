@@ -13,7 +13,7 @@ from lunarsci.io.tables import table_hashes
 from lunarsci.names import some_of
 from lunarsci.options import request_of
 from lunarsci.result import MadeFrom, Result, job
-from lunarsci.spectra.band_status import BANDS, NOTE, STATUS, TOO_NARROW
+from lunarsci.spectra.band_status import BANDS, CODE, STATUS
 from lunarsci.spectra.bands import BandsOfSpectra, SpectrumBands, measure_batch
 from lunarsci.spectra.chemistry.bands import KEYS, chemistries, plane_pages
 from lunarsci.spectra.chemistry.bands import TABLE as CHONDRITES
@@ -107,7 +107,7 @@ class MeasuredBands(Result):
 
     @property
     def untrusted(self) -> str:
-        narrow = self.measured.arrays.codes[:, -1, STATUS] == TOO_NARROW
+        narrow = self.measured.arrays.codes[:, -1, CODE.status] == STATUS.too_narrow
         named = some_of([self.batch.spectra.ids[place] for place in narrow.nonzero()[0]], MOST_NAMED)
         return f"a narrow absorption, no pyroxene's, is what there is at 2 µm in {named}" if narrow.any() else ""
 
@@ -150,7 +150,7 @@ class MeasuredBands(Result):
         return [
             (place, self.batch.spectra.ids[place], band.key, text)
             for number, band in enumerate(BANDS)
-            for which in (NOTE, STATUS)
+            for which in (CODE.note, CODE.status)
             for place, text in enumerate(self.measured.texts(number, which))
             if text not in ("", "ok")
         ]
