@@ -106,7 +106,10 @@ def in_lanes(function: Callable[..., Any], **options: Any) -> Any:
 
 
 def uncounted(function: Callable[..., Any] | None = None, **options: Any) -> Any:
-    """Compile a function without counts of who uses an array, which cost more than short loops; it can make none."""
+    """Compile a function without counts of who uses an array, which cost more than short loops.
+
+    It can neither make arrays nor return any: a caller that counts would give them away.
+    """
     return compiled(function, nogil=True, error_model="numpy", _nrt=False, **options)
 
 

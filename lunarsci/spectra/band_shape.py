@@ -343,7 +343,7 @@ WIDE, NARROW = (0.6, 0.9), (0.85, 1.0)
 Polynomials through about the deepest third are usual for asteroids: Moskovitz et al. (2010), Icarus 208, 773,
 10.1016/j.icarus.2010.03.002."""
 HALF = 0.5
-"""Share of the depth from which a Gaussian is fitted; assumed."""
+"""Share of the depth from which a Gaussian is fitted: its half maximum."""
 FEWEST_CHANNELS = 8.0
 """Where fewer are in the wide window, shares half as large are used, and the narrow one not at all: coarse channels.
 Assumed."""

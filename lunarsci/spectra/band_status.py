@@ -5,6 +5,7 @@ Under which continuum each of eight spectra shows a band, if any: what is agains
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -58,7 +59,7 @@ MIN_SIGNIFICANCE = 4.5
 """Depth over its standard error below which there is no band. Measured: the deepest of many channels of pure noise
 exceeds 3 in a quarter and 4.5 in 0.4 % of the windows of 400 simulated flat spectra."""
 END_CHANNELS, RUNAWAY_SHARE = 8, 0.5
-"""An extrapolated continuum that is this share of the band's depth above the last channels is not used; assumed. On 172
+"""An extrapolated continuum that is this share of the band's depth above the last channels is not used. On 172
 laboratory and 88 rover spectra it parts the centres that agree with the hull's from those that do not.
 """
 MAX_CENTER_SIGMA_NM = 100.0
@@ -69,8 +70,8 @@ assumed."""
 CROSSING_SHARE = 0.25
 """A continuum may run below the smoothed spectrum by this share of the band's depth, no more; assumed."""
 WIDTHS_NM = ((1900.0, 570.0), (2200.0, 690.0))
-"""Centres of 2 um bands and their widths at half depth: those of OPX 2 and CPX 2 in `mgm_bands.csv`; that they go over
-into each other linearly is assumed. [nm]"""
+"""Centres of 2 um bands and their widths at half depth: those of OPX 2 and CPX 2 in `mgm_bands.csv`; widths between
+are interpolated. [nm]"""
 
 
 def short_by(center_nm: FloatArray, last_nm: float) -> FloatArray:
@@ -94,45 +95,66 @@ WATER_MOST_NM = 2100.0
 """Longest wavelength of the absorption of water near 1900 nm, with a margin (Hunt 1977, 10.1190/1.1440721). [nm]"""
 DEPENDS = "centre depends on the method"
 """What the status says of a band whose centre does (`depends_on_method`)."""
-STATUSES = (
-    "ok",
-    "continuum_falls_to_zero",
-    "continuum_below_spectrum",
-    "continuum_runs_away",
-    "too_few_deep_channels",
-    "deepest_elsewhere",
-    "no_minimum",
-    "depth_within_noise",
-    "center_uncertain",
-    "too_few_channels_in_window",
-    "window_not_covered",
-    "no_tie_points",
-    "spectrum_unusable",
-    "too_narrow",
-)
-"""Why there is no band, or why the wanted continuum was not used: names of the codes from 0."""
-(
-    OK, FALLS, BELOW, AWAY, FEW, ELSEWHERE, NO_MINIMUM, SHALLOW, UNCERTAIN, SPARSE, NOT_COVERED, NO_TIES, UNUSABLE,
-    TOO_NARROW,
-) = range(len(STATUSES))  # fmt: skip
-NO_BAND = (FEW, ELSEWHERE, NO_MINIMUM, SHALLOW)
+
+
+class Statuses(NamedTuple):
+    """Codes that say why there is no band, or why the wanted continuum was not used."""
+
+    ok: int = 0
+    continuum_falls_to_zero: int = 1
+    continuum_below_spectrum: int = 2
+    continuum_runs_away: int = 3
+    too_few_deep_channels: int = 4
+    deepest_elsewhere: int = 5
+    no_minimum: int = 6
+    depth_within_noise: int = 7
+    center_uncertain: int = 8
+    too_few_channels_in_window: int = 9
+    window_not_covered: int = 10
+    no_tie_points: int = 11
+    spectrum_unusable: int = 12
+    too_narrow: int = 13
+
+
+class Numbers(NamedTuple):
+    """Places of the numbers of a band: those of a `BandResult`, and what is said where it has none."""
+
+    center_nm: int = 0
+    center_sigma_nm: int = 1
+    center_systematic_nm: int = 2
+    center_gaussian_nm: int = 3
+    center_method_nm: int = 4
+    depth: int = 5
+    depth_sigma: int = 6
+    area_nm: int = 7
+    area_sigma_nm: int = 8
+    asymmetry: int = 9
+    asymmetry_sigma: int = 10
+    center_calibration_nm: int = 11
+    depth_calibration: int = 12
+    area_calibration_nm: int = 13
+    deepest_nm: int = 14
+    note_deepest_nm: int = 15
+    narrow_nm: int = 16
+    narrow_width_nm: int = 17
+
+
+class CodeRows(NamedTuple):
+    """Places of the codes of a band."""
+
+    continuum: int = 0
+    status: int = 1
+    note: int = 2
+
+
+STATUS, NUMBER, CODE = Statuses(), Numbers(), CodeRows()
+STATUSES, QUANTITIES, CODES = Statuses._fields, Numbers._fields, CodeRows._fields
+NO_BAND = (STATUS.too_few_deep_channels, STATUS.deepest_elsewhere, STATUS.no_minimum, STATUS.depth_within_noise)
 """Codes that say that there is none."""
 ABSENT_NM = 2300.0
 """A spectrum that ends before this does not show that there is no band at 2 um: assumed, as clinopyroxenes have minima
 up to 2380 nm (Cloutis & Gaffey 1991, 10.1029/91JE02512) and bands far wider than what would be missing. [nm]"""
-QUANTITIES = (
-    "center_nm", "center_sigma_nm", "center_systematic_nm", "center_gaussian_nm", "center_method_nm", "depth",
-    "depth_sigma", "area_nm", "area_sigma_nm", "asymmetry", "asymmetry_sigma", "center_calibration_nm",
-    "depth_calibration", "area_calibration_nm", "deepest_nm", "note_deepest_nm", "narrow_nm", "narrow_width_nm",
-)  # fmt: skip
-(
-    CENTER, CENTER_SIGMA, SYSTEMATIC, GAUSSIAN, METHOD, DEPTH, DEPTH_SIGMA, AREA_NM, AREA_SIGMA, ASYMMETRY_SHARE,
-    ASYMMETRY_SIGMA, CENTER_CALIBRATION, DEPTH_CALIBRATION, AREA_CALIBRATION, DEEPEST, NOTE_DEEPEST,
-    NARROW_NM, NARROW_WIDTH
-) = range(len(QUANTITIES))  # fmt: skip
 Codes = npt.NDArray[np.int8]
-CODES = ("continuum", "status", "note")
-CONTINUUM, STATUS, NOTE = range(len(CODES))
 JSON_KEYS = {
     "center_nm": "bc{}_nm",
     "center_sigma_nm": "bc{}_sigma_nm",
@@ -174,7 +196,9 @@ def sentence(code: int, band: Band, deepest_nm: float, wavelength_nm: FloatArray
     """What a code says of a band of a spectrum with these usable channels (n,), deepest there. [nm, nm]"""
     low, high = band.window_nm
     inside = (
-        wavelength_nm[(wavelength_nm >= low) & (wavelength_nm <= high)] if code == NOT_COVERED else wavelength_nm[:0]
+        wavelength_nm[(wavelength_nm >= low) & (wavelength_nm <= high)]
+        if code == STATUS.window_not_covered
+        else wavelength_nm[:0]
     )
     first, last = (inside[0], inside[-1]) if inside.size else (np.nan, np.nan)
     if inside.size and (gap := wide_gap(inside, first, last)):
@@ -283,11 +307,11 @@ class BandResult:
 def nothing_of(count: int) -> tuple[FloatArray, Codes]:
     """What `measure_rows` gives of so many spectra that cannot be measured."""
     codes = np.zeros((count, len(BANDS), len(CODES)), np.int8)
-    codes[..., CONTINUUM], codes[..., STATUS] = -1, UNUSABLE
+    codes[..., CODE.continuum], codes[..., CODE.status] = -1, STATUS.spectrum_unusable
     return np.full((count, len(BANDS), len(QUANTITIES)), np.nan), codes
 
 
-MEASURED = QUANTITIES[:DEEPEST]
+MEASURED = QUANTITIES[: NUMBER.deepest_nm]
 """What is measured of a band: the numbers of a `BandResult`."""
 
 
@@ -337,7 +361,7 @@ class BandArrays:
     @property
     def depends(self) -> BoolArray:
         """(m, 2) whether methods differ by much more than the noise does."""
-        return depends_on_method(self.numbers[..., CENTER_SIGMA], self.numbers[..., METHOD])
+        return depends_on_method(self.numbers[..., NUMBER.center_sigma_nm], self.numbers[..., NUMBER.center_method_nm])
 
     @property
     def bands(self) -> dict[str, BandColumns]:
@@ -359,10 +383,10 @@ NARROW_WINDOW_NM, NARROW_REACH_NM, NARROW_DEGREE, NARROW_CHANNELS = 220.0, 70.0,
 """A Gaussian on a cubic in ln R so far to both sides, or so far at least, and channels that it takes; assumed. A cubic
 follows the floor of a band 500 nm wide to 2 % of its depth. [nm]"""
 NARROW_WIDEST_NM = 135.0
-"""Wider ones are not called narrow: what a cubic leaves of a wide band looks like a Gaussian of 170 nm and more;
-assumed, on spectra of pyroxenes (RELAB). [nm]"""
+"""Wider ones are not called narrow: what a cubic leaves of a wide band looks like a Gaussian of 170 nm and more,
+on spectra of pyroxenes (RELAB). [nm]"""
 EXPLAINED = 0.5
-"""Least share of what the cubic leaves, sum of squares, that the Gaussian takes away; assumed. It takes 0.3 at
+"""Least share of what the cubic leaves, sum of squares, that the Gaussian takes away. It takes 0.3 at
 most in 57 Chang'E-4 spectra with a 2 um band, whose scatter makes sharp dips."""
 SIGNIFICANT = 6.0
 """Least strength of the Gaussian over its standard error, which decides where channels are few; assumed, as the most of
@@ -433,11 +457,17 @@ def judge_width(wavelength_nm: FloatArray, reflectance: FloatArray, numbers: Flo
     wavelength_nm, reflectance : (n,) and (m, n). [nm, -]
     numbers, codes : of the 2 um bands, `QUANTITIES` (m, 18) and `CODES` (m, 3), which change.
     """
-    seen = np.flatnonzero(codes[:, CONTINUUM] >= 0)
+    seen = np.flatnonzero(codes[:, CODE.continuum] >= 0)
     if not seen.size:
         return
     values = np.asarray(reflectance[seen], float)
-    at, width, share = narrow_absorptions(wavelength_nm, values, numbers[seen, CENTER], numbers[seen, DEPTH])
-    numbers[seen, NARROW_NM], numbers[seen, NARROW_WIDTH] = at, width
+    at, width, share = narrow_absorptions(
+        wavelength_nm, values, numbers[seen, NUMBER.center_nm], numbers[seen, NUMBER.depth]
+    )
+    numbers[seen, NUMBER.narrow_nm], numbers[seen, NUMBER.narrow_width_nm] = at, width
     gone = seen[share >= BAND_SHARE]
-    numbers[gone, :DEEPEST], codes[gone, CONTINUUM], codes[gone, STATUS] = np.nan, -1, TOO_NARROW
+    numbers[gone, : NUMBER.deepest_nm], codes[gone, CODE.continuum], codes[gone, CODE.status] = (
+        np.nan,
+        -1,
+        STATUS.too_narrow,
+    )

@@ -24,50 +24,19 @@ from lunarsci.spectra import band_shape as model
 from lunarsci.spectra.band_shape import BandGrid, BandWork, Smoother, deepest_of, fit, minima, shape, smooth, window_of
 from lunarsci.spectra.band_status import (
     ABSENT_NM,
-    AREA_CALIBRATION,
-    AREA_NM,
-    AREA_SIGMA,
-    ASYMMETRY_SHARE,
-    ASYMMETRY_SIGMA,
-    AWAY,
     BANDS,
-    BELOW,
-    CENTER,
-    CENTER_CALIBRATION,
-    CENTER_SIGMA,
-    CONTINUUM,
+    CODE,
     CROSSING_SHARE,
-    DEEPEST,
     DEPENDS,
-    DEPTH,
-    DEPTH_CALIBRATION,
-    DEPTH_SIGMA,
-    ELSEWHERE,
     END_CHANNELS,
-    FALLS,
-    FEW,
-    GAUSSIAN,
     JSON_KEYS,
     MAX_CENTER_SIGMA_NM,
     MEASURED,
-    METHOD,
     MIN_SIGNIFICANCE,
-    NARROW_NM,
-    NARROW_WIDTH,
     NO_BAND,
-    NO_MINIMUM,
-    NO_TIES,
-    NOT_COVERED,
-    NOTE,
-    NOTE_DEEPEST,
-    OK,
+    NUMBER,
     RUNAWAY_SHARE,
-    SHALLOW,
-    SPARSE,
     STATUS,
-    SYSTEMATIC,
-    TOO_NARROW,
-    UNCERTAIN,
     Band,
     BandArrays,
     BandColumns,
@@ -171,11 +140,13 @@ def _range(wavelength_nm: FloatArray, limits_nm: tuple[float, float]) -> tuple[i
 
 def _missing(inside_nm: FloatArray, band: Band) -> int:
     if inside_nm.size < FEWEST_IN_WINDOW:
-        return SPARSE
-    return OK if reaches_over(inside_nm, *band.reach_nm) else NOT_COVERED
+        return STATUS.too_few_channels_in_window
+    return STATUS.ok if reaches_over(inside_nm, *band.reach_nm) else STATUS.window_not_covered
 
 
-(TRIED, IS_CONIC, IS_HULL, CODE, DEEPEST_NM, OTHER_NM, CHOICES) = (model.OF_CHOICE + k for k in (0, 1, 2, 3, 6, 9, 12))
+(TRIED, IS_CONIC, IS_HULL, AGAINST, DEEPEST_NM, OTHER_NM, CHOICES) = (
+    model.OF_CHOICE + k for k in (0, 1, 2, 3, 6, 9, 12)
+)
 """Rows, behind those of `band_shape`: place in the order of the continuum that is tried, below 0 for none; which one
 that is; by continuum what is against it, where the band is deepest and its centre in the wide window. [nm]"""
 
@@ -186,11 +157,15 @@ def _code(least_level: Any, highest: Any, depth: Any, end: Any, inner: Any, nm: 
 
     Where the spectrum lies nowhere below the continuum it is deepest where both touch, which rounding decides.
     """
-    nowhere = choose(highest - 1.0 > model.LEAST_DEPTH, BELOW, SHALLOW)
+    nowhere = choose(highest - 1.0 > model.LEAST_DEPTH, STATUS.continuum_below_spectrum, STATUS.depth_within_noise)
     above, between = least_level > 0.0, (nm > low_nm) & (nm < high_nm)
-    crossing = choose(highest - 1.0 > depth * CROSSING_SHARE, BELOW, choose(end > depth * RUNAWAY_SHARE, AWAY, OK))
-    result = choose(inner > 0.0, crossing, choose(between, FEW, ELSEWHERE))
-    return choose(above, choose(depth < model.LEAST_DEPTH, nowhere, result), FALLS)
+    crossing = choose(
+        highest - 1.0 > depth * CROSSING_SHARE,
+        STATUS.continuum_below_spectrum,
+        choose(end > depth * RUNAWAY_SHARE, STATUS.continuum_runs_away, STATUS.ok),
+    )
+    result = choose(inner > 0.0, crossing, choose(between, STATUS.too_few_deep_channels, STATUS.deepest_elsewhere))
+    return choose(above, choose(depth < model.LEAST_DEPTH, nowhere, result), STATUS.continuum_falls_to_zero)
 
 
 @uncounted
@@ -213,7 +188,7 @@ def judge(g: BandGrid, places: Places, work: BandWork, b: int, c: int) -> None:
     first, behind = window_of(g, work, c, band, model.WIDE[0], model.WIDE[1], True)
     low, high = places.limits_nm[b]
     code = _code(least_level, above, 1.0 - least, end, load(k, model.INNER), load(k, DEEPEST_NM + c), low, high)
-    store(k, CODE + c, code)
+    store(k, AGAINST + c, code)
     store(k, OTHER_NM + c, centre(work, c, first, behind, count))
 
 
@@ -234,8 +209,8 @@ def go_on(places: Places, k: Any, lane: int, numbers: FloatArray, codes: Codes) 
         c = places.order[tried]
         if c < 0:
             break
-        code = int(k[CODE + c, lane])
-        if code == OK:
+        code = int(k[AGAINST + c, lane])
+        if code == STATUS.ok:
             k[TRIED, lane] = float(tried)
             return True
         record(places, k, lane, c, code, numbers, codes)
@@ -246,10 +221,10 @@ def go_on(places: Places, k: Any, lane: int, numbers: FloatArray, codes: Codes) 
 @uncounted
 def record(places: Places, k: Any, lane: int, c: int, code: int, numbers: FloatArray, codes: Codes) -> None:
     deepest = k[DEEPEST_NM + c, lane]
-    if code == OK or c == HULL:
-        codes[CONTINUUM], codes[STATUS], numbers[DEEPEST] = c, code, deepest
-    if code != OK and c == places.wanted:
-        codes[NOTE], numbers[NOTE_DEEPEST] = code, deepest
+    if code == STATUS.ok or c == HULL:
+        codes[CODE.continuum], codes[CODE.status], numbers[NUMBER.deepest_nm] = c, code, deepest
+    if code != STATUS.ok and c == places.wanted:
+        codes[CODE.note], numbers[NUMBER.note_deepest_nm] = code, deepest
 
 
 @formula
@@ -286,10 +261,10 @@ def verdict(limits_nm: FloatArray, k: Any, lane: int) -> int:
     """A code of the band that was measured."""
     center_nm, depth = k[model.SHAPE_NM, lane], k[model.SHAPE_DEPTH, lane]
     if not (k[model.HAS_SHAPE, lane] > 0.0 and limits_nm[0] <= center_nm <= limits_nm[1]):
-        return NO_MINIMUM
+        return STATUS.no_minimum
     if depth < max(MIN_SIGNIFICANCE * math.sqrt(k[model.DEPTH_VARIANCE, lane]), model.LEAST_DEPTH):
-        return SHALLOW
-    return UNCERTAIN if math.sqrt(k[model.CENTER_VARIANCE, lane]) > MAX_CENTER_SIGMA_NM else OK
+        return STATUS.depth_within_noise
+    return STATUS.center_uncertain if math.sqrt(k[model.CENTER_VARIANCE, lane]) > MAX_CENTER_SIGMA_NM else STATUS.ok
 
 
 def measure_rows(
@@ -323,10 +298,12 @@ def measure_rows(
         noise = given if sigma is None else np.ascontiguousarray(np.broadcast_to(given, part.shape), float)
         _measure(grid, places, part, noise, np.ascontiguousarray(shifts[rows]), _work(grid), numbers[rows], codes[rows])
         if grid.wavelength_nm[-1] < ABSENT_NM:
-            two = codes[rows, -1, STATUS]
-            two[np.isin(two, NO_BAND)] = NOT_COVERED
+            two = codes[rows, -1, CODE.status]
+            two[np.isin(two, NO_BAND)] = STATUS.window_not_covered
         second = numbers[rows, -1]
-        second[:, METHOD] = np.fmax(second[:, METHOD], short_by(second[:, CENTER], float(grid.wavelength_nm[-1])))
+        second[:, NUMBER.center_method_nm] = np.fmax(
+            second[:, NUMBER.center_method_nm], short_by(second[:, NUMBER.center_nm], float(grid.wavelength_nm[-1]))
+        )
 
     each_in_threads(work, -(-count // CHUNK), progress)
     return numbers, codes
@@ -434,7 +411,7 @@ def _measure_band(
     g: BandGrid, places: Places, work: BandWork, b: int, shifts: FloatArray, numbers: FloatArray, codes: Codes
 ) -> None:
     """One band of eight spectra, each under the wanted continuum or the first that is fit for use."""
-    k, open_ = work.k, places.missing[b] == OK
+    k, open_ = work.k, places.missing[b] == STATUS.ok
     for c in range(len(CONTINUA)):
         if open_ and g.ties.available[c]:
             judge(g, places, work, b, c)
@@ -443,9 +420,9 @@ def _measure_band(
         k[TRIED, lane] = -1.0
         if lane < len(numbers):
             code_row = codes[lane, b]
-            code_row[CONTINUUM], code_row[STATUS], code_row[NOTE] = -1, places.missing[b], OK
+            code_row[CODE.continuum], code_row[CODE.status], code_row[CODE.note] = -1, places.missing[b], STATUS.ok
             if open_:
-                code_row[NOTE] = NO_TIES if places.order[0] != places.wanted else OK
+                code_row[CODE.note] = STATUS.no_tie_points if places.order[0] != places.wanted else STATUS.ok
                 waiting = go_on(places, k, lane, numbers[lane, b], code_row) or waiting
     while waiting:
         waiting = False
@@ -456,7 +433,7 @@ def _measure_band(
             if tried >= 0:
                 c, code = places.order[tried], verdict(places.limits_nm[b], k, lane)
                 record(places, k, lane, c, code, numbers[lane, b], codes[lane, b])
-                if code == OK:
+                if code == STATUS.ok:
                     _fill(g, work, lane, c, shifts[lane], numbers[lane, b])
                     k[TRIED, lane] = -2.0
                 else:
@@ -467,25 +444,25 @@ def _measure_band(
 def _fill(g: BandGrid, work: BandWork, lane: int, c: int, shifts: FloatArray, numbers: FloatArray) -> None:
     """The numbers of a band that is there, with what other continua and another definition of the centre differ by."""
     k = work.k
-    numbers[CENTER], numbers[DEPTH] = k[model.SHAPE_NM, lane], k[model.SHAPE_DEPTH, lane]
-    numbers[AREA_NM], numbers[ASYMMETRY_SHARE] = k[model.SHAPE_AREA, lane], k[model.SHAPE_ASYMMETRY, lane]
-    numbers[CENTER_SIGMA] = math.sqrt(k[model.CENTER_VARIANCE, lane])
-    numbers[DEPTH_SIGMA] = math.sqrt(k[model.DEPTH_VARIANCE, lane])
-    numbers[AREA_SIGMA] = math.sqrt(k[model.AREA_VARIANCE, lane])
-    numbers[ASYMMETRY_SIGMA] = math.sqrt(k[model.ASYMMETRY_VARIANCE, lane])
+    numbers[NUMBER.center_nm], numbers[NUMBER.depth] = k[model.SHAPE_NM, lane], k[model.SHAPE_DEPTH, lane]
+    numbers[NUMBER.area_nm], numbers[NUMBER.asymmetry] = k[model.SHAPE_AREA, lane], k[model.SHAPE_ASYMMETRY, lane]
+    numbers[NUMBER.center_sigma_nm] = math.sqrt(k[model.CENTER_VARIANCE, lane])
+    numbers[NUMBER.depth_sigma] = math.sqrt(k[model.DEPTH_VARIANCE, lane])
+    numbers[NUMBER.area_sigma_nm] = math.sqrt(k[model.AREA_VARIANCE, lane])
+    numbers[NUMBER.asymmetry_sigma] = math.sqrt(k[model.ASYMMETRY_VARIANCE, lane])
     if shifts.shape[0] > 0:
-        numbers[CENTER_CALIBRATION] = _shared(work.t, model.WIDE_NM, lane, shifts)
-        numbers[DEPTH_CALIBRATION] = _shared(work.t, model.WIDE_DEPTH, lane, shifts)
-        numbers[AREA_CALIBRATION] = _shared(work.t, model.AREA, lane, shifts)
+        numbers[NUMBER.center_calibration_nm] = _shared(work.t, model.WIDE_NM, lane, shifts)
+        numbers[NUMBER.depth_calibration] = _shared(work.t, model.WIDE_DEPTH, lane, shifts)
+        numbers[NUMBER.area_calibration_nm] = _shared(work.t, model.AREA, lane, shifts)
     least = most = k[model.WIDE_CENTER_NM, lane]
     for other in range(len(CONTINUA)):
         there = k[OTHER_NM + other, lane]
         if other != c and g.ties.available[other] and not math.isnan(there):
             least, most = min(least, there), max(most, there)
     if most - least > SAME_NM:
-        numbers[SYSTEMATIC] = (most - least) / 2.0
-    numbers[GAUSSIAN] = abs(k[model.GAUSSIAN_NM, lane] - k[model.SHAPE_NM, lane]) / 2.0
-    numbers[METHOD] = np.fmax(numbers[SYSTEMATIC], numbers[GAUSSIAN])
+        numbers[NUMBER.center_systematic_nm] = (most - least) / 2.0
+    numbers[NUMBER.center_gaussian_nm] = abs(k[model.GAUSSIAN_NM, lane] - k[model.SHAPE_NM, lane]) / 2.0
+    numbers[NUMBER.center_method_nm] = np.fmax(numbers[NUMBER.center_systematic_nm], numbers[NUMBER.center_gaussian_nm])
 
 
 @uncounted
@@ -566,7 +543,7 @@ def columns_of(measured: Sequence[SpectrumBands]) -> dict[str, BandColumns]:
     for row, item in enumerate(measured):
         for place, one in enumerate(item.bands.values()):
             arrays.numbers[row, place, : len(MEASURED)] = np.array([getattr(one, name) for name in MEASURED], float)
-            arrays.codes[row, place, CONTINUUM] = _NAMES.index(one.continuum) if one.center_nm else -1
+            arrays.codes[row, place, CODE.continuum] = _NAMES.index(one.continuum) if one.center_nm else -1
     return arrays.bands
 
 
@@ -646,69 +623,79 @@ class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
         )
 
     def _band(self, number: int, place: int, wavelength_nm: FloatArray) -> BandResult:
-        numbers, code = self.arrays.numbers[place, number].tolist(), int(self.arrays.codes[place, number, CONTINUUM])
+        numbers, code = (
+            self.arrays.numbers[place, number].tolist(),
+            int(self.arrays.codes[place, number, CODE.continuum]),
+        )
         values = {name: value for name, value in zip(MEASURED, numbers, strict=False) if value == value}
-        status, why = (self._sentence(number, place, which, wavelength_nm) for which in (STATUS, NOTE))
+        status, why = (self._sentence(number, place, which, wavelength_nm) for which in (CODE.status, CODE.note))
         status = self._remark(number, place) or status if code >= 0 else status
         return BandResult(**values, continuum=CONTINUA[code] if code >= 0 else "none", status=status, note=why)
 
     def _sentence(self, number: int, place: int, which: int, wavelength_nm: FloatArray) -> str:
         """The sentence of a status or a note."""
-        code, deepest = self.arrays.codes[place, number, which], DEEPEST if which == STATUS else NOTE_DEEPEST
-        if which == NOTE and code == OK:
+        code, deepest = (
+            self.arrays.codes[place, number, which],
+            NUMBER.deepest_nm if which == CODE.status else NUMBER.note_deepest_nm,
+        )
+        if which == CODE.note and code == STATUS.ok:
             return ""
-        if code == TOO_NARROW:
-            at, width = self.arrays.numbers[place, number, [NARROW_NM, NARROW_WIDTH]].tolist()
+        if code == STATUS.too_narrow:
+            at, width = self.arrays.numbers[place, number, [NUMBER.narrow_nm, NUMBER.narrow_width_nm]].tolist()
             return f"no band: {narrow_text(at, width)}, no pyroxene's"
         text = sentence(code, BANDS[number], self.arrays.numbers[place, number, deepest], wavelength_nm)
-        return text if which == STATUS else f"{self.wanted} not used: {text}"
+        return text if which == CODE.status else f"{self.wanted} not used: {text}"
 
     def _remark(self, number: int, place: int) -> str:
         """What is said of a band that is there: that its centre depends on the method, and what else lies in it."""
-        at, width = self.arrays.numbers[place, number, [NARROW_NM, NARROW_WIDTH]].tolist()
+        at, width = self.arrays.numbers[place, number, [NUMBER.narrow_nm, NUMBER.narrow_width_nm]].tolist()
         parts = [DEPENDS] if self.arrays.depends[place, number] else []
         return "; ".join([*parts, *([f"in it {narrow_text(at, width)}"] if at == at else [])])
 
     def texts(self, number: int, which: int) -> list[str]:
         """The status or the note of a band of all spectra."""
         codes = self.arrays.codes[:, number, which]
-        texts = ["" if which == NOTE else "ok"] * len(self)
-        deepest = self.arrays.numbers[:, number, DEEPEST if which == STATUS else NOTE_DEEPEST].tolist()
+        texts = ["" if which == CODE.note else "ok"] * len(self)
+        deepest = self.arrays.numbers[
+            :, number, NUMBER.deepest_nm if which == CODE.status else NUMBER.note_deepest_nm
+        ].tolist()
         sentences: dict[tuple[int, float], str] = {}
-        for place in np.flatnonzero(codes != OK).tolist():
-            if codes[place] in (NOT_COVERED, TOO_NARROW):
+        for place in np.flatnonzero(codes != STATUS.ok).tolist():
+            if codes[place] in (STATUS.window_not_covered, STATUS.too_narrow):
                 spectrum = self.spectra[place]
                 texts[place] = self._sentence(number, place, which, spectrum.wavelength_nm[spectrum.usable])
                 continue
-            key = int(codes[place]), deepest[place] if codes[place] == ELSEWHERE else 0.0
+            key = int(codes[place]), deepest[place] if codes[place] == STATUS.deepest_elsewhere else 0.0
             if key not in sentences:
                 sentences[key] = self._sentence(number, place, which, _NOTHING)
             texts[place] = sentences[key]
-        seen = self.arrays.codes[:, number, CONTINUUM] >= 0
-        odd = self.arrays.depends[:, number] | seen & np.isfinite(self.arrays.numbers[:, number, NARROW_NM])
-        for place in np.flatnonzero(odd).tolist() if which == STATUS else ():
+        seen = self.arrays.codes[:, number, CODE.continuum] >= 0
+        odd = self.arrays.depends[:, number] | seen & np.isfinite(self.arrays.numbers[:, number, NUMBER.narrow_nm])
+        for place in np.flatnonzero(odd).tolist() if which == CODE.status else ():
             texts[place] = self._remark(number, place)
-        for place, reason in self.reasons.items() if which == STATUS else ():
+        for place, reason in self.reasons.items() if which == CODE.status else ():
             texts[place] = f"no result: {reason}"
         return texts
 
     @property
     def uncovered(self) -> dict[int, str]:
         """By place, why spectra have none, those whose channels cannot show either band among them."""
-        codes = self.arrays.codes[..., STATUS]
-        lacking = np.flatnonzero(np.isin(codes, (SPARSE, NOT_COVERED)).all(axis=1)).tolist()
+        codes = self.arrays.codes[..., CODE.status]
+        lacking = np.flatnonzero(
+            np.isin(codes, (STATUS.too_few_channels_in_window, STATUS.window_not_covered)).all(axis=1)
+        ).tolist()
         reach = " or ".join("{:.0f}-{:.0f} nm".format(*band.reach_nm) for band in BANDS)
         return dict.fromkeys(lacking, f"the channels do not reach over {reach}, close enough for a band") | self.reasons
 
     def columns(self) -> dict[str, Any]:
         """The keys of `lunarsci spectra bands --json` as columns of records."""
-        codes = self.arrays.codes[..., CONTINUUM].astype(int) % len(_NAMES)
+        codes = self.arrays.codes[..., CODE.continuum].astype(int) % len(_NAMES)
         used = {band.key: records.Codes(codes[:, place], _NAMES) for place, band in enumerate(BANDS)}
         columns: dict[str, Any] = {"id": self.spectra.ids, "continuum": used}
         for place, (key, band) in enumerate(self.arrays.bands.items()):
             columns |= {name.format(key): getattr(band, quantity) for quantity, name in JSON_KEYS.items()}
-            columns[f"band{key}_status"] = records.coded(self.texts(place, STATUS))
-            columns[f"band{key}_note"] = records.coded(self.texts(place, NOTE))
+            columns[f"band{key}_status"] = records.coded(self.texts(place, CODE.status))
+            columns[f"band{key}_note"] = records.coded(self.texts(place, CODE.note))
         return columns
 
 

@@ -85,7 +85,7 @@ COMPARED_DEG = 112.0
 """Largest phase angle at which they were compared with others, measured: 23 Chang'E-4 spectra of lunar day 10. [deg]"""
 _DEGREE = 2
 _SHORTEST_NM = 100.0
-"""Below it a wavelength is one in um; assumed."""
+"""Below it a wavelength is one in um: reflectance spectra are of 0.1 to 5 um."""
 
 
 class PhaseFunction:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
@@ -20,8 +21,6 @@ from lunarsci.spectra.spectrum import Spectrum
 MAX_ITERATIONS = 100_000
 """The program has no limit; the slowest of 25 fits of laboratory spectra took it 4179."""
 HALVINGS = 15
-MEANINGLESS_NM = 2000.0
-"""Standard error of a centre or width as wide as the spectrum; assumed."""
 STEEPEST = 1e100
 """Derivative, in the kernel's units, that belongs to no spectrum; its square must be a number."""
 RANK_TOLERANCE = 1e-13
@@ -155,7 +154,7 @@ class _DampedProblem:
         jacobian[m::3] *= (-wavelengths[m::3] / point[m::3])[:, None]
         jacobian[m + 1 :: 3] /= NM_PER_UM
         residual = np.log(self.data.reflectance) - ln
-        return _State(point, residual, jacobian, float(np.sqrt(np.mean(residual**2))))
+        return _State(point, residual, jacobian, math.sqrt(residual @ residual / residual.size))
 
     def step(self, here: _State) -> FloatArray:
         """(G'G + P)^-1 G'r along the directions that are free."""
@@ -183,13 +182,11 @@ class _DampedProblem:
 
 def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """Solution of a symmetric system, that of least norm where there are many."""
-    from scipy.linalg import LinAlgError, cho_factor, cho_solve
-
     scale = np.sqrt(np.diag(matrix))
     scale[scale == 0] = 1.0
     scaled = matrix / np.outer(scale, scale)
     try:
-        solution = cho_solve(cho_factor(scaled), right / scale)
+        solution = cho_solve(cho_factor(scaled, check_finite=False), right / scale, check_finite=False)
     except LinAlgError:
         solution = np.linalg.lstsq(scaled, right / scale, rcond=None)[0]
     return np.asarray(solution / scale, dtype=np.float64)
@@ -233,7 +230,8 @@ def _described(problem: _DampedProblem, end: _End) -> MgmFit:
     covariance = inverse * state.rms**2
     by_kernel = np.linalg.solve(problem.parameters.kernel_slopes(state.point).T, state.jacobian)
     shared = data.shifts @ by_kernel.T @ inverse
-    shared = _where_determined(covariance, shared, m)
+    span_nm = float(np.ptp(data.wavelength_nm))
+    shared = _where_determined(covariance, shared, m, span_nm)
     bands = _bands(model, point[m:], covariance[m:, m:], shared[:, m:])
     chi2, count = float(data.weight @ state.residual**2), problem.parameters.directions(state.point).shape[1]
     return MgmFit(
@@ -242,7 +240,7 @@ def _described(problem: _DampedProblem, end: _End) -> MgmFit:
         continuum=model.continuum,
         prior="damping",
         converged=end.converged,
-        status="; ".join([end.status, *_remarks(bands, covariance, len(shared) > 0)]),
+        status="; ".join([end.status, *_remarks(bands, covariance, span_nm, len(shared) > 0)]),
         iterations=end.iterations,
         rms_ln=state.rms,
         reduced_chi2=chi2 / max(1, data.reflectance.size - count),
@@ -258,8 +256,8 @@ def _described(problem: _DampedProblem, end: _End) -> MgmFit:
     )
 
 
-def _where_determined(covariance: FloatArray, shared: FloatArray, degrees: int) -> FloatArray:
-    """Moves by errors that channels share, (k, p), NaN for bands whose centre or width is undetermined.
+def _where_determined(covariance: FloatArray, shared: FloatArray, degrees: int, span_nm: float) -> FloatArray:
+    """Moves by errors that channels share, (k, p), NaN for bands whose centre or width is uncertain by the span.
 
     They are of first order: where the data hold a band nowhere within the spectrum, the order says nothing, and its
     digits are those of the rounding.
@@ -268,7 +266,7 @@ def _where_determined(covariance: FloatArray, shared: FloatArray, degrees: int) 
     together = np.sqrt((shared**2).sum(axis=0)) if len(shared) else np.zeros(len(covariance))
     with np.errstate(invalid="ignore"):
         widest = np.maximum(np.sqrt(np.diag(covariance)), together)[degrees:].reshape(-1, 3)[:, :2].max(axis=1)
-    for band in np.flatnonzero(~(widest * NM_PER_UM <= MEANINGLESS_NM)):
+    for band in np.flatnonzero(~(widest * NM_PER_UM <= span_nm)):
         moves[:, degrees + 3 * band : degrees + 3 * band + 3] = np.nan
     return moves
 
@@ -282,7 +280,7 @@ def _bands(model: MgmModel, point: FloatArray, covariance: FloatArray, shared: F
     )
 
 
-def _remarks(bands: Sequence[FittedBand], covariance: FloatArray, shifted: bool) -> list[str]:
+def _remarks(bands: Sequence[FittedBand], covariance: FloatArray, span_nm: float, shifted: bool) -> list[str]:
     """What to know of bands; `shifted` says that there are errors that all channels share."""
     remarks = []
     if positive := [band.name for band in bands if band.strength > 0]:
@@ -291,7 +289,7 @@ def _remarks(bands: Sequence[FittedBand], covariance: FloatArray, shifted: bool)
         remarks.append(f"centre not above 0 nm, the wing of something else: {', '.join(beyond)}")
     if np.isnan(covariance).any():
         remarks.append("no errors: the data leave a parameter undetermined")
-    elif loose := [band.name for band in bands if max(band.center_sigma_nm, band.fwhm_sigma_nm) > MEANINGLESS_NM]:
+    elif loose := [band.name for band in bands if max(band.center_sigma_nm, band.fwhm_sigma_nm) > span_nm]:
         remarks.append(f"undetermined, the errors span the spectrum: {', '.join(loose)}; true priors hold them")
     if shifted and any(band.center_calibration_nm is None for band in bands):
         remarks.append("what calibration errors do to undetermined bands is not determined either")

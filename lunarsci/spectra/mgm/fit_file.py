@@ -47,7 +47,7 @@ LONGEST_SHOWN = 40
 LARGEST, LEAST = 1e15, 1e-6
 """Beyond these no number of a file, and no centre or width, belongs to a spectrum."""
 LEAST_NM = 10.0
-"""Below it a wavelength is taken for one in um; assumed."""
+"""Below it a wavelength is taken for one in um: reflectance spectra are of 0.1 to 5 um."""
 Numbers = tuple[float, ...]
 
 

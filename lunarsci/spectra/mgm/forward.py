@@ -307,14 +307,16 @@ def model_and_jacobian(
     level, jacobian = basis @ parameters[:m], np.empty((parameters.size, wavelength_um.size))
     if not logarithmic and not level.min() > LEAST_CONTINUUM:
         return None
-    x = (wavelength_um - centre) * (FWHM_OVER_SIGMA / fwhm)
-    shape = np.exp(-0.5 * x * x)
+    inverse = FWHM_OVER_SIGMA / fwhm
+    x = (wavelength_um - centre) * inverse
+    shape = np.exp(x * x * -0.5)
+    absorbed, along = shape * strength, shape * x
     jacobian[:m] = basis.T if logarithmic else basis.T / level
-    jacobian[m::3] = shape * x * strength * FWHM_OVER_SIGMA / fwhm
-    jacobian[m + 1 :: 3] = shape * x * x * strength / fwhm
+    jacobian[m::3] = along * (strength * inverse)
+    jacobian[m + 1 :: 3] = along * x * (strength / fwhm)
     jacobian[m + 2 :: 3] = shape
-    ln_model = (level if logarithmic else np.log(level)) + (strength * shape).sum(axis=0)
-    return (ln_model, jacobian) if np.isfinite(ln_model).all() else None
+    ln_model = (level if logarithmic else np.log(level)) + absorbed.sum(axis=0)
+    return (ln_model, jacobian) if math.isfinite(ln_model.sum()) else None
 
 
 @uncounted(fastmath=VECTORS)  # type: ignore[untyped-decorator]

@@ -343,7 +343,7 @@ NARROW = 1e-3
 """Of the standard error: a bracket narrower than this holds a jump of the profile, from one valley to another."""
 MOST_STEPS = 30
 LOWER_BY = 0.1
-"""By how much an objective below the fit's says that the fit is not the minimum; assumed."""
+"""By how much an objective below the fit's says that the fit is not the minimum: by 5 % of its density."""
 MISFIT = 1.5
 """Reduced chi-square above which intervals are too narrow; assumed."""
 
@@ -538,8 +538,8 @@ COARSE_UM = 0.015
 CONTINUUM_SPREAD = 0.5
 """Standard deviation of the continuum coefficients at the start, in units of the continuum."""
 MOST_R_HAT, LEAST_EFFECTIVE, LEAST_ACCEPTANCE = 1.1, 100.0, 0.3
-"""Beyond which draws are doubted; R-hat as of Gelman & Rubin (1992), Stat. Sci. 7, 457, 10.1214/ss/1177011136; the
-others assumed."""
+"""Beyond which draws are doubted. R-hat as of Gelman & Rubin (1992), Stat. Sci. 7, 457, 10.1214/ss/1177011136; 100
+independent draws have a mean within a tenth of its standard deviation; the acceptance is assumed, 0.75 is aimed at."""
 SAMPLED_PROBABILITIES = (0.5, 0.15865, 0.84135, 0.025, 0.975)
 
 

@@ -26,7 +26,7 @@ from lunarsci.spectra.mgm.forward import (
     matrix_side,
     prior_pull,
 )
-from lunarsci.spectra.mgm.levenberg_marquardt import Channels, FitProblem, channels_of, fill_lane, workspace_for
+from lunarsci.spectra.mgm.levenberg_marquardt import Channels, FitProblem, fill_lane, workspace_for
 
 MISFIT, USED, WIDE, PIVOT, VARIANCE, BEND, CHI2, ALIVE = range(8)
 """Rows of a workspace's `state` here."""
@@ -78,7 +78,7 @@ def _describe(spectra: Any, problem: Any, points: Any, chi2: Any, space: Any, ro
             state[CHI2, lane] = chi2[row]
             for p in range(size):
                 space.point[p, lane] = points[row, p]
-        store(state, ALIVE, _linearise(channels_of(space), problem, space))
+        store(state, ALIVE, _linearise(problem, space))
         prior_pull(space.point, problem.prior, problem.precision, space.pull)
         store(state, MISFIT, _misfit(space, channels))
         _determined(problem, space, rooms[0])
@@ -97,12 +97,13 @@ def _describe(spectra: Any, problem: Any, points: Any, chi2: Any, space: Any, ro
 
 
 @uncounted
-def _linearise(channels: Any, problem: Any, space: Any) -> Any:
+def _linearise(problem: Any, space: Any) -> Any:
     """Residuals, J r and the upper triangle of J J' at the workspace's points; the lowest value of the continuum.
 
     The derivatives themselves are summed: moments, which are enough to descend by, cost an error its last digits.
     """
     size, degrees, least = space.point.shape[0], problem.degrees, spread(1.0)
+    channels = (space.places, space.columns, space.data, space.roots)
     for p in range(size):
         store(space.slope, p, spread(0.0))
         for q in range(p, size):

@@ -159,12 +159,6 @@ def workspace_for(size: int, degrees: int, channels: int) -> Workspace:
 
 
 @uncounted
-def channels_of(space: Any) -> Any:
-    """The part of a workspace that holds spectra."""
-    return space.places, space.columns, space.data, space.roots
-
-
-@uncounted
 def fill_lane(spectra: Any, row: int, space: Any, lane: int) -> None:
     """Copy a spectrum into a lane; channels beyond its last are that one again, without weight."""
     shared_row = min(row, spectra.wavelength.shape[0] - 1)
@@ -394,12 +388,12 @@ def _descend(
     curvatures: Any, bars: Any, jobs: Any,
 ) -> None:  # fmt: skip
     following, left = 0, 0
+    channels = (space.places, space.columns, space.data, space.roots)
     while left > 0 or following < rows.size:
         following = _take_jobs(spectra, problem, options, rows, points, space, jobs, following)
         evaluate(
-            channels_of(space), space.trial, problem.degrees, problem.logarithmic, 1, space.work, space.residuals,
-            space.sums,
-        )  # fmt: skip
+            channels, space.trial, problem.degrees, problem.logarithmic, 1, space.work, space.residuals, space.sums
+        )
         store(space.state, TRIAL_SHARE, prior_pull(space.trial, problem.prior, problem.precision, space.trial_pull))
         _judge_all(used, rows, options, problem.degrees, space, jobs)
         update(space.sums, space.trial, problem.degrees, load(space.state, TAKEN), space.curvature, space.slope)
@@ -441,15 +435,9 @@ def coarsened(fine: Channels, together: int) -> Channels:
 @uncounted
 def _slope(space: Any, problem: Any, curved: int) -> None:
     """Residuals, J r and, where `curved` is 1, J J' of a workspace's spectra at its trial points."""
+    channels = (space.places, space.columns, space.data, space.roots)
     evaluate(
-        channels_of(space),
-        space.trial,
-        problem.degrees,
-        problem.logarithmic,
-        curved,
-        space.work,
-        space.residuals,
-        space.sums,
+        channels, space.trial, problem.degrees, problem.logarithmic, curved, space.work, space.residuals, space.sums
     )
     update(space.sums, space.trial, problem.degrees, spread(1.0), space.curvature, space.slope)
 
@@ -562,7 +550,7 @@ COARSE_DOUBT = 3.0
 MAX_ROUNDS = 4
 FIRST_DAMPING, LATER_DAMPING = 1e-3, 1e-6
 SIGNIFICANT = 2.0
-"""Standard errors from which a difference counts, and a band, as in 19 of 20 cases of a normal law; assumed."""
+"""Standard errors from which a difference counts, and a band: the level of 95 % of all tests of this model."""
 COMPETING_CHI2 = SIGNIFICANT**2 + COARSE_TOLERANCE
 """A minimum higher by this or more on the coarse spectrum is no competitor of the best."""
 SAME_SIGMAS = 0.5

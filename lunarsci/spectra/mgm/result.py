@@ -15,7 +15,7 @@ from lunarsci.spectra.mgm.model import MgmModel
 UNLIKE_RMS = 0.2
 """A fit that misses ln R by more than this, root mean square, describes something else; assumed."""
 UNDETERMINED = 0.5
-"""A ratio lies within 0 and 1; with a standard error of this or more it says nothing, and none is given. Assumed."""
+"""The largest standard deviation of a number within 0 and 1: a ratio with this error says nothing and is not given."""
 REACH_NM = {"um1": (900.0, 1050.0), "um2": (1800.0, 2250.0)}
 """What a spectrum must reach over for both pyroxene bands of a region to be measured; assumed."""
 

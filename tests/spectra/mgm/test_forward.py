@@ -32,7 +32,6 @@ from lunarsci.spectra.mgm.levenberg_marquardt import (
     Channels,
     FitProblem,
     KernelFits,
-    channels_of,
     coarsened,
     correct,
     fill_lane,
@@ -97,7 +96,8 @@ def test_a_matrix_that_is_not_positive_definite_is_reported_in_its_lane() -> Non
 
 @compiled
 def _normal_equations(space: Any, degrees: int, logarithmic: bool) -> None:
-    evaluate(channels_of(space), space.trial, degrees, logarithmic, 1, space.work, space.residuals, space.sums)
+    channels = (space.places, space.columns, space.data, space.roots)
+    evaluate(channels, space.trial, degrees, logarithmic, 1, space.work, space.residuals, space.sums)
     update(space.sums, space.trial, degrees, spread(1.0), space.curvature, space.slope)
 
 
