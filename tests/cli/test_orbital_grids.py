@@ -60,11 +60,11 @@ def test_a_kilometre_is_planned_and_driven(share: float, run, dtm: Path, tmp_pat
     with rasterio.open(dtm) as heights, rasterio.open(site / "maps.tif") as maps:
         assert (maps.crs, maps.transform) == (heights.crs, heights.transform)
         assert read_plan(site / "plan.toml").crs == heights.crs.to_wkt()
-    drive = ("--soil", "lunar-typical", "--fixes", "0.1,0.5", "--sample", "0.5", "--members", "16", "--json", "-q")
+    drive = ("--soil", "lunar-typical", "--fixes", "0.1,0.5", "--sample", "0.5", "--json", "-q")
     driven = run("twin", "predict", site / "plan.toml", "--terrain", site / "terrain.npz", *drive)
     said = json.loads(driven.out)["result"]
-    assert said["unresolved"]["spacing_m"] == SPACING and said["members"] == 16
-    assert said["outcomes"] == {"finished": 16}, driven.err
+    assert said["unresolved"]["spacing_m"] == SPACING and said["members"] == 64
+    assert said["outcomes"] == {"finished": 64}, driven.err
     # Localised to 0.1 m and 0.5 deg every 20 m, by physics that the planner does not know.
     assert math.dist((said["endpoint"]["x_m"], said["endpoint"]["y_m"]), target) < 3.0
 
