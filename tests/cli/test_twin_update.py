@@ -181,7 +181,7 @@ def test_states_and_beliefs_are_not_taken_for_another_rover(run, short_plan: Pat
     four = "".join(f"{t},{name},0.01\n" for t in range(1, 9) for name in ("FL", "FR", "RL", "RR"))
     path, belief = tmp_path / "states.csv", tmp_path / "b.json"
     path.write_text(f"time_s,wheel,sinkage_m\n{four}")
-    update = ("twin", "update", path, "--plan", short_plan)
+    update = ("twin", "update", path, "--plan", short_plan, "--particles", "32")
     refused = run(*update)
     assert refused.code == 1
     assert "no rover is named, so yutu2 is taken, and there are no states of its ML, MR" in refused.err[0]
