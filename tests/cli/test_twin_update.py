@@ -172,8 +172,6 @@ def test_positions_need_their_errors(run, short_plan: Path, tmp_path: Path) -> N
     (tmp_path / "fixes.csv").write_text("time_s,x_m,y_m\n1,0,0\n")
     done = run("twin", "update", tmp_path / "states.csv", "--plan", short_plan, "--positions", tmp_path / "fixes.csv")
     assert done.code == 1 and "add sigma_m" in done.err[0]
-    done = run("twin", "update", tmp_path / "states.csv", "--plan", short_plan, "--soil", short_plan)
-    assert done.code == 1 and "not valid JSON" in done.err[0]
 
 
 def test_states_and_beliefs_are_not_taken_for_another_rover(run, short_plan: Path, tmp_path: Path) -> None:
