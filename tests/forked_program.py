@@ -128,6 +128,7 @@ def _user_of(folder: Path) -> int | None:
 
 def serve(folder: Path) -> None:
     """Answer until nobody holds the file of its users open any more."""
+    import gc
     import select
     import shutil
     import signal
@@ -135,6 +136,8 @@ def serve(folder: Path) -> None:
     users = os.open(folder / "users", os.O_RDONLY)
     import_everything()
     warm_up()
+    gc.collect()
+    gc.freeze()  # or every command would look through all that, and copy it
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     with socket.socket(socket.AF_UNIX) as server:
         server.bind(str(folder / "line"))

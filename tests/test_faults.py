@@ -15,7 +15,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="forks, and moun
 
 def test_a_fit_that_is_killed_goes_on(load_benchmark, tmp_path: Path) -> None:
     faults = load_benchmark("faults")
-    case = faults.case_of("fit", tmp_path, 0.4)
+    case = faults.case_of("fit", tmp_path, 0.25)
     wanted, seconds = faults.whole(case, tmp_path)
     found = faults.killed(case, tmp_path, wanted, seconds, 1, random.Random(3))
     assert len(found.kept) == 1

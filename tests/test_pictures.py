@@ -247,9 +247,10 @@ def makers() -> set[tuple[str, str]]:
     """File and innermost function of every place of the library that makes a figure."""
     found = set()
     for path in Path(lunarsci.__file__).parent.rglob("*.py"):
-        if path.parent.name == "lunarsci" and path.name == "figure.py":
+        text = path.read_text("utf-8")
+        if path == Path(lunarsci.__file__).with_name("figure.py") or not re.search(r"\b(page|Figure)\(", text):
             continue
-        for function in ast.walk(ast.parse(path.read_text("utf-8"))):
+        for function in ast.walk(ast.parse(text)):
             if isinstance(function, ast.FunctionDef):
                 for call in ast.walk(function):
                     if isinstance(call, ast.Call) and getattr(call.func, "id", "") in ("page", "Figure"):

@@ -10,6 +10,7 @@ import re
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
@@ -153,6 +154,24 @@ def alike_turned(left: Sighting, right: Sighting) -> Sighting:
     """The right picture's sighting numbered as the left one's: a board that looks alike upside down may be turned."""
     ways = [s.pixels[-1] - s.pixels[0] for s in (left, right)]
     return right if float(ways[0] @ ways[1]) >= 0 else Sighting(right.numbers, right.pixels[::-1])
+
+
+def check_board(pictures: Sequence[Picture], sightings: Sequence[Sighting | None], target: BoardTarget) -> None:
+    """Raise DataError where most pictures do not show the chessboard that was stated, and one shows another one."""
+    without = [p for p, s in zip(pictures, sightings, strict=True) if s is None]
+    if target.kind != "chessboard" or len(without) < 0.5 * len(pictures):
+        return
+    size = target.columns, target.rows
+    near = [(size[0] + a, size[1] + b) for a, b in product((2, 1, 0, -1, -2), repeat=2) if a or b]
+    near = sorted((other for other in near if min(other) >= 3), key=math.prod, reverse=True)
+    for picture in without[:2]:
+        eight = eight_bits(picture)
+        for other in near:
+            if _chessboard(eight, other, False) is not None:
+                raise DataError(
+                    f"{picture.source.name}: shows a chessboard of {other[0]} x {other[1]}, not {size[0]} x {size[1]}; "
+                    "a chessboard's size is that of its inner corners, squares less one each way"
+                )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -55,7 +55,9 @@ def mujoco_step_s() -> float | None:
         return None
     import mujoco
 
-    spec = importlib.util.spec_from_file_location("test_dynamics", Path(__file__).parents[1] / "twin/test_dynamics.py")
+    spec = importlib.util.spec_from_file_location(
+        "test_dynamics", Path(__file__).parents[1] / "twin/simulation/test_dynamics.py"
+    )
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

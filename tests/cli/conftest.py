@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 from lunarsci.cli import main
 
+from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.spectra.vnis.channels import SPLICED_NM
 from lunarsci.spectra.vnis.simulation.scene import Material, SceneComposition, surface_reflectance
 
@@ -138,4 +139,12 @@ def short_states(driven_states: bytes, tmp_path: Path) -> Path:
     """A file of these states."""
     path = tmp_path / "states.csv"
     path.write_bytes(driven_states)
+    return path
+
+
+@pytest.fixture(scope="session")
+def belief(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of a soil that is known well: the first one with a twentieth of its variances."""
+    path, first = tmp_path_factory.mktemp("belief") / "belief.json", first_belief()
+    path.write_text(SoilBelief(first.laws, first.mean, 0.05 * first.covariance).to_json())
     return path

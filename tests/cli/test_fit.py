@@ -107,6 +107,8 @@ def test_intervals_hold_their_value_and_the_wider_one_the_narrower(run, rock: Pa
             assert low95 <= low68 <= item["value"] <= high68 <= high95, item
     shown = run("spectra", "fit", *options).out
     assert f"intervals by {errors}" in shown
+    if errors == "sample":
+        assert fitted(run, *options, "--seed", 4, code=3)["intervals"] != intervals
 
 
 def test_the_assemblage_can_be_chosen_by_the_spectrum(run, rock: Path) -> None:

@@ -47,7 +47,7 @@ def places(start: tuple[float, float], target: tuple[float, float]) -> tuple[str
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("share", [0.1, pytest.param(1.0, marks=pytest.mark.study)])
+@pytest.mark.parametrize("share", [0.06, pytest.param(1.0, marks=pytest.mark.study)])
 def test_a_kilometre_is_planned_and_driven(share: float, run, dtm: Path, tmp_path: Path) -> None:
     """Or a share of it."""
     site, careful = tmp_path / "site", ("--hazard-distance", "5", "--max-slope", "15")

@@ -222,7 +222,3 @@ def test_the_law_is_chosen_by_its_score_and_predicts_another_wheel(run, drive: P
     assert all(pull["low90"] < pull["value"] < pull["high90"] for pull in pulls)
     assert pulls[0]["value"] < pulls[1]["value"]
     assert run("regolith", "infer", drive, "--law", "auto", "--exact").code == 2
-
-
-def test_slip_beyond_what_was_measured_is_said(run) -> None:
-    assert "beyond 0.6" in run("regolith", "forces", "--load", "36", "--slip", "0.7").err[0]

@@ -8,20 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.twin.jobs.plan import plan
 from lunarsci.twin.plans.plan import read_plan
 from lunarsci.twin.plans.risk import AcceptedRisk
 
 BASE = ("twin", "plan", "--target", "3,0.5", "--candidates", "6", "--members", "16", "-q", "--no-time")
-
-
-@pytest.fixture(scope="module")
-def belief(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of a soil that is known well: the first one with a twentieth of its variances."""
-    path, first = tmp_path_factory.mktemp("belief") / "belief.json", first_belief()
-    path.write_text(SoilBelief(first.laws, first.mean, 0.05 * first.covariance).to_json())
-    return path
 
 
 def test_the_best_comes_first_and_its_plan_can_be_predicted(run, belief: Path, tmp_path: Path) -> None:

@@ -7,21 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lunarsci.regolith.belief import SoilBelief, first_belief
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.terrain import build_terrain, terrain_bytes
 from lunarsci.twin.plans.plan import read_plan
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "mission.toml"
 QUICK = ("twin", "plan", "-q", "--no-time", "--members", "8")
-
-
-@pytest.fixture(scope="module")
-def belief(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of a soil that is known well: the first one with a twentieth of its variances."""
-    path, first = tmp_path_factory.mktemp("belief") / "belief.json", first_belief()
-    path.write_text(SoilBelief(first.laws, first.mean, 0.05 * first.covariance).to_json())
-    return path
 
 
 def test_a_mission_is_planned_with_all_its_files(run, belief: Path, tmp_path: Path) -> None:

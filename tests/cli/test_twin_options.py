@@ -210,7 +210,6 @@ def test_a_terrain_that_was_looked_at_for_another_rover_says_so(run, small: Path
         (("plan",), "--target says where the path shall end"),
         (("terrain", "--geotiff"), "--geotiff goes into a file"),
         (("terrain", "--soil", "longji"), "--soil goes into a file"),
-        (("update", "states.csv", "--correlation", "3"), "--correlation is of a soil map"),
         (("update", "states.csv", "--forget", "0.2"), "--forget has nothing to forget"),
     ],
 )

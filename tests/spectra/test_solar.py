@@ -52,25 +52,6 @@ def vnis_channels(folder: Path, detector: str) -> tuple[np.ndarray, np.ndarray, 
     return wavelength, fwhm, irradiance
 
 
-@pytest.mark.parametrize(
-    ("wavelength", "published"),
-    [
-        *((450, 2.069), (465, 1.984), (500, 1.916), (550, 1.863), (750, 1.274), (900, 0.91378), (1000, 0.74255)),
-        *((1345, 0.37953), (1500, 0.30077), (1580, 0.26381), (2000, 0.11673), (2395, 0.06007)),
-    ],
-)
-def test_g173_has_the_values_of_the_standard(wavelength: float, published: float) -> None:
-    spectrum = solar_spectrum("g173")
-    at = np.flatnonzero(spectrum.wavelength_nm == wavelength)
-    assert spectrum.irradiance[at] == pytest.approx([published], rel=5e-4)
-
-
-def test_g173_has_the_sampling_of_the_standard() -> None:
-    wavelength = solar_spectrum("g173").wavelength_nm
-    expected = [*range(400, 1701), 1702, *range(1705, 2601, 5)]
-    assert wavelength.tolist() == expected
-
-
 def test_g173_is_the_table_of_pvlib() -> None:
     pvlib = pytest.importorskip("pvlib")
     theirs = pvlib.spectrum.get_reference_spectra()["extraterrestrial"]

@@ -16,6 +16,7 @@ from lunarsci.images.calibration import (
     Sighting,
     alike_turned,
     calibrate,
+    check_board,
     find_target,
     of_moments,
     pictures_matching,
@@ -302,6 +303,7 @@ def _sightings(pictures: Sequence[Picture], target: BoardTarget, step: Callable[
     for k, picture in enumerate(pictures):
         seen.append(find_target(picture, target, patient=False))
         step(k + 1)
+    check_board(pictures, seen, target)
     if any(seen):
         seen = [find_target(p, target) if s is None else s for p, s in zip(pictures, seen, strict=True)]
     return seen
