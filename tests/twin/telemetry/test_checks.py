@@ -66,9 +66,9 @@ def worst(found: DriveStates, drive: SyntheticDrive) -> float:
 def test_wheels_that_turn_as_planned_raise_no_alarm_under_the_noise(
     yutu2: Rover, drive: SyntheticDrive, errors: SensorErrors
 ) -> None:
-    """Of 30 drives none is alarming, at the stated noise and at several times that; a planted 3 % always is."""
+    """Of 12 drives none is alarming, at the stated noise and at several times that; a planted 3 % always is."""
     shares = []
-    for seed in range(30):
+    for seed in range(12):
         sent = simulate_telemetry(drive.prediction, errors, seed).telemetry
         findings = Findings("sent.csv")
         told = read_telemetry(InputFile("sent.csv", csv(sent)), yutu2, findings)
