@@ -37,7 +37,7 @@ SETTINGS = {
         "spectra/origin/match.py: LEAST_INSIDE", "spectra/photometry.py: _LIMITS_DEG",
         "spectra/readers/solar_table.py: _NM", "spectra/readers/solar_table.py: _IRRADIANCE",
         "spectra/readers/table.py: _FACTOR_NM", "spectra/readers/table.py: SCALES",
-        "spectra/solar.py: _FWHM_PER_SIGMA", "spectra/vnis/label.py: _PLAIN", "spectra/vnis/detector.py: _NOISY", "sun.py: _J2000_JD",
+        "spectra/solar.py: _FWHM_PER_SIGMA", "spectra/vnis/detector.py: _NOISY", "sun.py: _J2000_JD",
         "pages/rock_answers.py: UNIFORM",
         "sun.py: _SECONDS_PER_DAY", "twin/ground/height_errors.py: WINDOW_SIGMA",
         "twin/judgement/energy.py: SECONDS_PER_HOUR", "twin/simulation/prescribed_motion.py: ALIKE",
