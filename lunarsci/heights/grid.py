@@ -41,7 +41,7 @@ MARKERS = (
     *(-32768.0, -32767.0, -32766.0, 32767.0, 65535.0, -2147483648.0, 2147483647.0),
 )
 """Numbers that stand for no height: -9999 of ESRI's grids and longer ones, the special pixels of ISIS for 16 bits, and
-the ends of integers of 16 and 32 bits."""
+the ends of integers of 16 and 32 bits; assumed."""
 USUALLY = "are without data, as such numbers are usually"
 BEYOND = 1e19
 """No height is larger: -3.4e38, 1e20, 1.7e38 and -1e32 stand for none. [m]"""

@@ -51,8 +51,8 @@ SMALL = 1e-6
 SMALLEST_PX = 0.1
 """Error of a template's place, and of the pixel that defines a point, that is left where light says none; assumed."""
 SHIFTED_PX = 0.25
-"""Error that a pair's templates share, in u and in v: light and shadows lie elsewhere when the Sun has moved. The
-templates of three rendered pairs were off by 0 to 0.4 px."""
+"""Error that a pair's templates share, in u and in v: light and shadows lie elsewhere when the Sun has moved.
+Measured: the templates of three rendered pairs were off by 0 to 0.4 px."""
 ODD_SIGMAS = 5.0
 """Dead reckoning that is off by more is doubted: it, or the ties, are wrong; assumed."""
 LEAST_SHARED, MOST_CLOSED, NEAREST_M = 0.05, 4, 0.5

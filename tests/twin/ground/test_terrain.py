@@ -486,7 +486,7 @@ def asc(folder: Path, height: np.ndarray) -> Path:
 
 
 @every_reader
-@pytest.mark.parametrize(("slope_deg", "warned"), [(44.0, False), (46.0, True)])
+@pytest.mark.parametrize(("slope_deg", "warned"), [(49.0, False), (51.0, True)])
 def test_ground_steeper_than_any_soil_is_warned_of(
     read: Callable[[Path], Any], tmp_path: Path, slope_deg: float, warned: bool
 ) -> None:
@@ -495,7 +495,7 @@ def test_ground_steeper_than_any_soil_is_warned_of(
     if not warned:
         read(path)
         return
-    with pytest.warns(LunarSciWarning, match=r"median slope of 46 deg .* heights in another unit"):
+    with pytest.warns(LunarSciWarning, match=r"median slope of 51 deg .* heights in another unit"):
         read(path)
 
 

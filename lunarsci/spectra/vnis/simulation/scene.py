@@ -106,8 +106,10 @@ class Material:
         check_ranges(self, {"(0, 1]": "albedo", "[-0.5, 3]": "red_slope", "[0, 3]": "contrast"}, "the material's")
 
 
-SOIL = Material(SceneComposition(0.05, 0.20, 0.20, 0.55), albedo=0.10, red_slope=0.6, contrast=0.6)
-ROCK = Material(SceneComposition(0.10, 0.35, 0.25, 0.30), albedo=0.09, red_slope=0.55)
+SOIL, ROCK = (
+    Material(SceneComposition(0.05, 0.20, 0.20, 0.55), albedo=0.10, red_slope=0.6, contrast=0.6),
+    Material(SceneComposition(0.10, 0.35, 0.25, 0.30), albedo=0.09, red_slope=0.55),
+)
 """A soil and a rock as there might be at the Chang'E-4 site; assumed."""
 
 

@@ -26,9 +26,7 @@ from lunarsci.spectra.vnis.simulation.scene import Scene, azimuth_difference_deg
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SUN_AZIMUTH_DEG = 60.0
-ROVER_XYZ_M = (-287.5, 127.3, -1.7)
-ARM_M = (0.96, -0.90, 0.30)
+SUN_AZIMUTH_DEG, ROVER_XYZ_M, ARM_M = 60.0, (-287.5, 127.3, -1.7), (0.96, -0.90, 0.30)
 """Azimuth of the Sun, place of the rover from the lander, and of its origin from the ground in the centre of the image;
 assumed."""
 INTEGRATION_MS = 54.2
