@@ -1,4 +1,7 @@
-"""Machine code of numba's: the same wherever it comes from, and kept on disk.
+"""Machine code of numba's: made once, the same wherever it comes from, and kept on disk.
+
+**Parts.** Numba optimises every function, and again all that it calls, and writes machine code for each, though Python
+calls few of them. Here what compiled functions call is optimised and written as a part of these alone.
 
 **The same digits.** A function that numba compiles carries copies of the functions it calls, and every copy is
 optimised where it stands, so that two copies may round differently. As numba makes them, the copies are weak symbols:

@@ -47,6 +47,22 @@ def test_a_function_keeps_its_copies_of_others_to_itself(tmp_path: Path, monkeyp
     assert [name for name, linkage in linkages.items() if linkage == llvm.Linkage.linkonce_odr] == []
 
 
+@compiled
+def halved(x: float, times: int) -> float:
+    return x / 2.0**times
+
+
+def by_constants(x: float) -> float:
+    return halved(x, 1) + halved(x, 2)
+
+
+def test_a_part_is_made_once_for_all_constants_and_has_no_code_of_its_own() -> None:
+    assert compiled(by_constants)(8.0) == 6.0
+    [part] = halved.dispatcher(part=True).overloads.values()
+    assert part.library.get_pointer_to_function(part.fndesc.mangled_name) == 0
+    assert halved(8.0, 3) == 1.0
+
+
 @pytest.fixture
 def load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], ModuleType]:
     """Import a small module with a compiled function anew, its cache in `tmp_path / "cache"`."""

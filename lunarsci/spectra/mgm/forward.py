@@ -1,10 +1,10 @@
 """The Modified Gaussian Model, compiled: ln R, its derivatives, and what descents and samplers make of them.
 
-`residuals` has one spectrum, for what a fit does once. Descents work on eight spectra side by side: the derivatives of
-a band are its Gaussian times a polynomial of second degree in wavelength, so what the normal equations need of two
-bands are five moments of the product of their Gaussians, not nine products of derivatives (`evaluate`, `update`). The
-sums are taken over a few channels at a time, which stay in the fastest memory. The objective is `scale` times
-chi-square plus (p - prior)' precision (p - prior), its step Marquardt's within bounds (`solve_step`).
+`model_and_jacobian` has one spectrum, for what a fit does once. Descents work on eight spectra side by side: the
+derivatives of a band are its Gaussian times a polynomial of second degree in wavelength, so what the normal equations
+need of two bands are five moments of the product of their Gaussians, not nine products of derivatives (`evaluate`,
+`update`). The sums are taken over a few channels at a time, which stay in the fastest memory. The objective is `scale`
+times chi-square plus (p - prior)' precision (p - prior), its step Marquardt's within bounds (`solve_step`).
 
 Matrices have the side - `TILE` rows of the system, padded to a multiple of `TILE` by those of the identity, and `TILE`
 columns more, of which the first is a right-hand side and the others are 0. The upper triangle is overwritten by the
@@ -320,55 +320,6 @@ def model_and_jacobian(
 
 
 @uncounted(fastmath=VECTORS)  # type: ignore[untyped-decorator]
-def residuals(
-    parameters: Any, wavelength: Any, columns: Any, logarithmic: bool, data: Any, root_weight: Any, residual: Any,
-    jacobian: Any, work: Any,
-) -> float:  # fmt: skip
-    """Fill `residual` (n,) with data - ln R and `jacobian` (p, n) with the derivatives of ln R, both times the root of
-    the weight; return chi-square, infinite where the continuum is not above 0. `columns` is the basis, (m, n).
-    """
-    channels = wavelength.size
-    if not _continuum(parameters, columns, logarithmic, data, root_weight, residual, jacobian, work):
-        return math.inf
-    for row in range(columns.shape[0], parameters.size, 3):
-        centre, fwhm, strength = parameters[row], parameters[row + 1], parameters[row + 2]
-        inverse = FWHM_OVER_SIGMA / fwhm
-        gaussian(wavelength, centre, inverse, work)
-        by_centre, by_fwhm, by_strength = jacobian[row], jacobian[row + 1], jacobian[row + 2]
-        slope, bend = strength * inverse, strength / fwhm
-        for i in range(channels):
-            x = (wavelength[i] - centre) * inverse
-            residual[i] -= strength * work[i]
-            shape = work[i] * root_weight[i]
-            by_strength[i] = shape
-            by_centre[i] = shape * x * slope
-            by_fwhm[i] = shape * x * x * bend
-    chi2 = 0.0
-    for i in range(channels):
-        residual[i] *= root_weight[i]
-        chi2 += residual[i] * residual[i]
-    return chi2
-
-
-@uncounted(fastmath=VECTORS)  # type: ignore[untyped-decorator]
-def _continuum(
-    parameters: Any, columns: Any, logarithmic: bool, data: Any, root_weight: Any, residual: Any, jacobian: Any,
-    work: Any,
-) -> bool:  # fmt: skip
-    """The continuum's share of `residual` and `jacobian`; False where it is not above 0."""
-    degrees, channels = columns.shape
-    if not _subtract_continuum(parameters, columns, logarithmic, data, work, residual):
-        return False
-    for i in range(channels):
-        work[i] *= root_weight[i]
-    for m in range(degrees):
-        row, column = jacobian[m], columns[m]
-        for i in range(channels):
-            row[i] = column[i] * work[i]
-    return True
-
-
-@uncounted(fastmath=VECTORS)  # type: ignore[untyped-decorator]
 def _subtract_continuum(
     parameters: Any, columns: Any, logarithmic: bool, data: Any, level: Any, rest: Any
 ) -> bool:  # fmt: skip
@@ -395,13 +346,31 @@ def _subtract_continuum(
     return True
 
 
-@uncounted
+@uncounted(fastmath=VECTORS)  # type: ignore[untyped-decorator]
+def _subtract(point: Any, wavelength: Any, columns: Any, logarithmic: bool, data: Any, space: Any) -> bool:
+    """Gaussians, data - ln R and level of one spectrum into `space`; False where the continuum is not above 0."""
+    shapes, rest, level = space
+    if not _subtract_continuum(point, columns, logarithmic, data, level, rest):
+        return False
+    for row in range(columns.shape[0], point.size, 3):
+        strength, shape = point[row + 2], shapes[row]
+        gaussian(wavelength, point[row], FWHM_OVER_SIGMA / point[row + 1], shape)
+        for i in range(wavelength.size):
+            rest[i] -= strength * shape[i]
+    return True
+
+
+@uncounted(fastmath=VECTORS)  # type: ignore[untyped-decorator]
 def energies_of(target: Any, point: Any, space: Any, energy: Any) -> None:
     """Halves of chi-square, of the prior's share, and of the squared distance of the continuum from its start."""
     channels, _, logarithmic, prior, precision, start = target[:6]
     wavelength, columns, data, root_weight = channels
-    jacobian, residual, work = space[0]
-    chi2 = residuals(point, wavelength, columns, logarithmic, data, root_weight, residual, jacobian, work)
+    rest, chi2 = space[0][1], 0.0
+    if _subtract(point, wavelength, columns, logarithmic, data, space[0]):
+        for i in range(wavelength.size):
+            chi2 += (rest[i] * root_weight[i]) ** 2
+    else:
+        chi2 = math.inf
     energy[0] = 0.5 * chi2
     energy[1] = 0.5 * prior_share(point, prior, precision)
     energy[2] = 0.0
@@ -419,13 +388,8 @@ def force_of(target: Any, beta: float, point: Any, space: Any, force: Any) -> bo
     (wavelength, columns, data, root_weight), logarithmic, prior, precision, start = target[1:6]
     shapes, rest, level = space[1]
     degrees, channels = columns.shape
-    if not _subtract_continuum(point, columns, logarithmic, data, level, rest):
+    if not _subtract(point, wavelength, columns, logarithmic, data, space[1]):
         return False
-    for row in range(degrees, point.size, 3):
-        strength, shape = point[row + 2], shapes[row]
-        gaussian(wavelength, point[row], FWHM_OVER_SIGMA / point[row + 1], shape)
-        for i in range(channels):
-            rest[i] -= strength * shape[i]
     for i in range(channels):
         rest[i] *= root_weight[i] * root_weight[i] * beta
     _project(point, wavelength, columns, rest, level, shapes, force)

@@ -25,7 +25,7 @@ from lunarsci.errors import LunarSciWarning, ParameterError
 from lunarsci.spectra.mgm.batch import channels_of, problem_of
 from lunarsci.spectra.mgm.data import MgmRows
 from lunarsci.spectra.mgm.fit import MAX_ITERATIONS, NO_HOPS, TOLERANCE, fit_batch
-from lunarsci.spectra.mgm.forward import energies_of, force_of, residuals
+from lunarsci.spectra.mgm.forward import energies_of, force_of, model_and_jacobian
 from lunarsci.spectra.mgm.model import MgmModel, unit_of
 from lunarsci.spectra.mgm.result import REACH_NM, MgmFit, pyroxene_pair
 from lunarsci.spectra.spectrum import reaches_over
@@ -137,16 +137,20 @@ def _move_all(
     tuning[0] = min(max(tuning[0], LEAST_STEP), MOST_STEP)
 
 
-def correct_coarse(target: Any, groups: IntArray, best: FloatArray, space: Any) -> None:
+def correct_coarse(target: Any, groups: IntArray, best: FloatArray) -> None:
     """Set the coarse data so that residuals and slope at `best` are those of all channels.
 
     Means of the residuals alone leave out how noise and slopes go together within a coarse channel.
     """
     channels, coarse, logarithmic, _, precision = target[:5]
-    coarse[2][:] = 0.0
-    for spectrum, (jacobian, residual, work) in ((channels, space[0]), (coarse, space[1])):
-        residuals(best, *spectrum[:2], logarithmic, *spectrum[2:], residual, jacobian, work)
-    (all_slopes, all_residuals, _), (slopes, minus_model, _), root = space[0], space[1], coarse[3]
+    fine, rough = (
+        model_and_jacobian(best, wavelength, columns.T, logarithmic) for wavelength, columns, *_ in target[:2]
+    )
+    if fine is None or rough is None:
+        return
+    all_residuals, all_slopes = (channels[2] - fine[0]) * channels[3], fine[1] * channels[3]
+    root = coarse[3]
+    minus_model, slopes = -rough[0] * root, rough[1] * root
     wanted = np.bincount(groups, channels[3] * all_residuals, root.size) / root
     matrix = slopes @ slopes.T + precision
     matrix[np.diag_indices_from(matrix)] *= 1.0 + RIDGE
@@ -190,7 +194,7 @@ class _Particles:
         for rows in (self.all_points, self.energies, self.ancestors):
             rows[:] = rows[chosen]
         best = self.all_points[np.argmin(self.energies[:, 0] + self.energies[:, 1])]
-        correct_coarse(self.target, self.groups, best, self.space)
+        correct_coarse(self.target, self.groups, best)
 
     def move(self, beta: float) -> None:
         if self.settling:

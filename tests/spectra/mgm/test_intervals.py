@@ -174,7 +174,7 @@ def test_coarse_channels_have_the_residuals_and_the_slope_of_all(apart_um: float
     flat, start = np.zeros((point.size, point.size)), np.zeros((2, model.degrees))
     target = (channels, coarse, False, model.prior, flat, start, model.lower, model.upper, np.arange(point.size))
     space = tuple((np.empty((point.size, n)), np.empty(n), np.empty(n)) for n in (180, 60))
-    correct_coarse(target, groups, point, space)
+    correct_coarse(target, groups, point)
     if apart_um == 0.0:
         assert coarse[2] == pytest.approx(np.bincount(groups, weight * data) / coarse_weight)
     expected = model_and_jacobian(point, fine, model.basis(1e3 * fine), False)
