@@ -206,6 +206,8 @@ def _rows(file: InputFile, columns: int) -> FloatArray:
         rows = np.loadtxt(text(file).splitlines(), delimiter=",", ndmin=2, usecols=range(columns))
     except ValueError as error:
         raise DataError(f"{file.name}: {error}; rows of {columns} numbers are needed") from error
+    if len(rows) < 2:
+        raise DataError(f"{file.name}: has no rows of {columns} numbers; is the file complete?")
     _, first = np.unique(rows[:, 0], return_index=True)
     return np.asarray(rows[first])
 
