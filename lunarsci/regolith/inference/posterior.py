@@ -444,7 +444,7 @@ class Suspect:
 def suspects(mode: Mode, units: bool = False) -> list[Suspect]:
     """Columns whose sign, or with `units` unit, the states contradict, worst first.
 
-    All states, or 200 of them spread evenly, are fitted anew as they are and with each column read otherwise, with the
+    All states, or 50 of them spread evenly, are fitted anew as they are and with each column read otherwise, with the
     same errors; residuals beyond `HUBER` count linearly, so that no few states decide. With `units`, as of states that
     the law misses by more than it may, the other reading must bring that to an end.
     """
@@ -463,7 +463,7 @@ def suspects(mode: Mode, units: bool = False) -> list[Suspect]:
 
 def _some(mode: Mode) -> JointProblem:
     """All states, or as many of them as are tried with other readings."""
-    some = np.unique(np.linspace(0, len(mode.inliers) - 1, MOST_STATES).astype(int))
+    some = np.unique(np.linspace(0, len(mode.inliers) - 1, MOST_STATES // 4).astype(int))
     return replace(part_of(mode.problem, some), huber=HUBER)
 
 

@@ -245,8 +245,8 @@ LEAST_SHARE = 1e-3
 GROUPS = 2**3
 """Parts that states are split into at most: halves by each of the three inputs."""
 MOST_STATES = 200
-"""States that laws and readings of columns are compared on, and that teach what a law misses: of more so many, so that
-it takes seconds; assumed."""
+"""States that laws are compared on, and that teach what a law misses: of more so many, so that it takes seconds, and a
+quarter of them for readings of columns, each of which is a fit; assumed."""
 GRADIENT = 1e-7
 """Slope of the logarithm of the posterior at which shares are found; last digits, which differ between processors,
 would else move what is told by per cents."""
