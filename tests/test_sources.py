@@ -41,7 +41,10 @@ SETTINGS = {
         "spectra/origin/match.py: LEAST_INSIDE", "spectra/photometry.py: _LIMITS_DEG",
         "spectra/readers/solar_table.py: _NM", "spectra/readers/solar_table.py: _IRRADIANCE",
         "spectra/readers/table.py: _FACTOR_NM", "spectra/readers/table.py: SCALES",
-        "spectra/solar.py: _FWHM_PER_SIGMA", "spectra/vnis/detector.py: _NOISY", "sun.py: _J2000_JD",
+        "spectra/solar.py: _FWHM_PER_SIGMA", "spectra/vnis/detector.py: _NOISY", "sun.py: _J2000_JD", "spectra/band_shape.py: HALF",
+        "spectra/band_status.py: WIDTHS_NM", "spectra/mgm/fit_file.py: LEAST_NM", "spectra/mgm/intervals.py: LOWER_BY",
+        "spectra/mgm/levenberg_marquardt.py: SIGNIFICANT", "spectra/mgm/region.py: WORTH",
+        "spectra/mgm/result.py: UNDETERMINED", "spectra/photometry.py: _SHORTEST_NM",
         "pages/rock_answers.py: UNIFORM",
         "sun.py: _SECONDS_PER_DAY", "twin/ground/height_errors.py: WINDOW_SIGMA",
         "twin/judgement/energy.py: SECONDS_PER_HOUR", "twin/simulation/prescribed_motion.py: ALIKE",
@@ -61,7 +64,7 @@ SETTINGS = {
         "regolith/states.py: PULL_OVER_LOAD, PULLING", "regolith/states.py: SLIPS",
         "constants.py: MARTIAN_GRAVITY", "spectra/indices.py: INDICES"),
     "places in rows, not numbers of the world": (
-        "spectra/bands.py: TRIED, IS_CONIC, IS_HULL, CODE, DEEPEST_NM, OTHER_NM, CHOICES",),
+        "spectra/bands.py: TRIED, IS_CONIC, IS_HULL, AGAINST, DEEPEST_NM, OTHER_NM, CHOICES",),
     "where something is drawn or told, or how finely": (
         "images/jobs/cameras.py: RANGES_M", "images/jobs/dem.py: RANGES_M", "images/jobs/render.py: TRUTH_STEP_M",
         "regolith/identify.py: CURVES", "spectra/chemistry/bands.py: BELOW_NM",

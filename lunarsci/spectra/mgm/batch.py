@@ -145,10 +145,10 @@ AMBIGUOUS_CHI2 = SIGNIFICANT**2
 """Rise of the objective within which another minimum competes, odds of 7 to 1 at most."""
 STRAINED_SIGMAS = 3.0
 """Standard deviations of its prior beyond which a band is strained: in 5 % of fits one of 20 centres and widths,
-were they normal."""
+were they normal; assumed."""
 RATIO_MISS = 0.1
 """Standard deviation of what the method misses of a mixture, between NBSR at 1 and at 2 um; with it 3 % of spectra of
-pyroxenes alone are flagged (`FitBatch.ratios_differ`)."""
+pyroxenes alone are flagged (`FitBatch.ratios_differ`); assumed."""
 MOST_ROWS = 256
 """Rows worked on together in one thread: enough to keep the lanes busy, few enough to fit into its memory."""
 

@@ -47,7 +47,7 @@ def continuum_basis(name: MgmContinuum, wavelength_nm: FloatArray) -> FloatArray
 
 
 BOUND_SIGMAS = 4.0
-"""Standard deviations of the priors within which bands are bound: they cut off 6e-5 of a normal law."""
+"""Standard deviations of the priors within which bands are bound: they cut off 6e-5 of a normal law; assumed."""
 MIN_FWHM_UM = 0.05
 """No band of a mineral is narrower; assumed."""
 KINDS = ("center_nm", "fwhm_nm", "strength")

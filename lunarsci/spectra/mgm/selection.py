@@ -150,7 +150,7 @@ def _ln_volume(curvature: FloatArray, gradient: FloatArray, point: FloatArray, h
 DETAIL_FLOOR, DETAIL_SHARE, DETAIL_NM, WHITE_SHARE = 0.008, 0.04, 60.0, 0.1
 """What Gaussians and priors do not know of natural minerals: its standard deviation in ln R, a floor and a share of the
 deepest absorption; the length over which it is correlated, by Matern's law of order 3/2; the share that is not. Size
-and length hardly matter for which assemblage is found (`choose`). [-, -, nm, -]"""
+and length hardly matter for which assemblage is found (`choose`); assumed. [-, -, nm, -]"""
 COARSE_NM = DETAIL_NM / 3
 """Channels are put together to about this, which follows from that length."""
 START_ERROR = 0.03

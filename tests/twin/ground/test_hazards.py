@@ -536,7 +536,7 @@ def test_longitude_and_latitude_come_and_go(tmp_path: Path) -> None:
 
     for read in (zones(), zones(crs={"type": "name"})):
         assert [(zone.x_m, zone.y_m) for zone in read] == [pytest.approx(target, abs=1e-3)]
-    with pytest.raises(DataError, match=r"longitudes lie between .* member 'crs'"):
+    with pytest.raises(DataError, match=r"longitude is 711025; .* member 'crs'"):
         bad = {"type": "Point", "coordinates": list(target)}
         feature = {"type": "Feature", "geometry": bad, "properties": {"radius_m": 2.0}}
         content = json.dumps({"type": "FeatureCollection", "features": [feature]}).encode()
