@@ -59,9 +59,8 @@ MIN_SIGNIFICANCE = 4.5
 """Depth over its standard error below which there is no band. Measured: the deepest of many channels of pure noise
 exceeds 3 in a quarter and 4.5 in 0.4 % of the windows of 400 simulated flat spectra."""
 END_CHANNELS, RUNAWAY_SHARE = 8, 0.5
-"""An extrapolated continuum that is this share of the band's depth above the last channels is not used. Measured: on 172
-laboratory and 88 rover spectra it parts the centres that agree with the hull's from those that do not.
-"""
+"""An extrapolated continuum that is this share of the band's depth above the last channels is not used. Measured:
+on 172 laboratory and 88 rover spectra it parts the centres that agree with the hull's from those that do not."""
 MAX_CENTER_SIGMA_NM = 100.0
 """A centre known no better than this says nothing about a mineral; it is not reported. Assumed."""
 DEPENDS_NM, DEPENDS_SIGMA = 20.0, 3.0

@@ -99,7 +99,8 @@ class SpectraFits(Sequence[MgmFit | MgmFailure]):
 
 
 DEFAULT_MODEL_ERROR = 0.02
-"""Of ln R in the chi-square of fits by damping unless another is given; it moves no fit, chi-square by its square; assumed."""
+"""Of ln R in the chi-square of fits by damping unless another is given; it moves no fit, chi-square by its square;
+assumed."""
 DEFAULT_STARTS = 4
 START_SIGMAS = 2.0
 START_SEED = 0
