@@ -258,14 +258,14 @@ def test_pictures_written_otherwise_give_the_same_heights(
     assert (np.abs(apart) < 3 * stated)[known].mean() > 0.95
 
 
-def test_turned_and_swapped_pictures_are_refused(bench: Bench, pair: RenderedPair, plain: StereoTerrain) -> None:
+def test_turned_and_swapped_pictures_are_named(bench: Bench, pair: RenderedPair, plain: StereoTerrain) -> None:
     left, right = (str(bench.folder / f"{side}.png") for side in ("left", "right"))
-    assert "one picture twice" in bench.refused(left, bench.save("again.jpg", (pair.left >> 2).astype(np.uint8)))
-    assert "swapped" in bench.refused(right, left)
+    assert "show the same" in bench.refused(left, bench.save("again.jpg", (pair.left >> 2).astype(np.uint8)))
+    assert "left and right are swapped" in bench.refused(right, left)
     both = [bench.save(f"u{k}.png", p[::-1, ::-1]) for k, p in enumerate((pair.left, pair.right))]
-    assert "upside down" in bench.refused(*both)
+    assert "both are upside down" in bench.refused(*both)
     clockwise = [bench.save(f"q{k}.png", np.rot90(p, -1)) for k, p in enumerate((pair.left, pair.right))]
-    assert "turned" in bench.refused(*clockwise)
+    assert "both pictures are turned by 90 deg clockwise" in bench.refused(*clockwise)
     turn = cv2.getRotationMatrix2D((160, 160), 3, 1)
     assert "turned" in bench.refused(left, bench.save("t.png", cv2.warpAffine(pair.right, turn, (320, 320))))
     assert "another rig's" in bench.refused(left, bench.save("s.png", pair.right[:300, :300]))
