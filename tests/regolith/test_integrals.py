@@ -98,6 +98,15 @@ def test_integrals_and_closed_form_give_numbers_computed_by_another_program() ->
     assert [float(getattr(closed, name)) for name in names] == pytest.approx([35.82, 9.44, 2.557], rel=1e-3)
 
 
+def test_combined_shear_is_the_separate_one_without_side_slip() -> None:
+    """At beta = 0 and full sliding one way both laws say the same."""
+    pulls = [
+        float(integrated_forces(WHEEL, SOIL, 0.015, 0.6, 0.0, ContactModel(shear=law)).drawbar_pull_n)
+        for law in ("separate", "combined", "ellipse")
+    ]
+    assert pulls == pytest.approx([pulls[0]] * 3, rel=1e-9)
+
+
 def test_skidding_takes_grip_sideways_under_combined_shear() -> None:
     rolling, skidding = (
         float(integrated_forces(WHEEL, SOIL, 0.012, slip, 10.0, ContactModel(shear="combined")).lateral_force_n)

@@ -2,6 +2,7 @@
 
 import warnings
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
-from lunarsci.io.inputs import InputFile
+from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.minerals import MINERALS
 from lunarsci.spectra.mgm.damping import fit_damping
 from lunarsci.spectra.mgm.fit import fit_spectra
@@ -25,6 +26,7 @@ from lunarsci.spectra.mgm.fit_file import (
 )
 from lunarsci.spectra.mgm.model import mgm_model
 from lunarsci.spectra.mgm.result import MgmFit
+from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
 
 EXAMPLE = """C:\\data\\
@@ -546,3 +548,12 @@ def test_a_comment_may_name_the_mineral_of_a_band(comment: str, mineral: str) ->
 def test_a_mineral_or_a_band_that_is_not_there_is_refused(minerals: dict[int, str], said: str) -> None:
     with pytest.raises(ParameterError, match=said):
         model_of(FILE, minerals)
+
+
+def test_map_mode_on_a_measured_orthopyroxene(reference_data: Path) -> None:
+    """Orthopyroxene bands lie at 0.90-0.935 and 1.80-1.95 um: Adams (1974), 10.1029/JB079i032p04829."""
+    spectra = read_spectra(read_input(str(reference_data / "spectra/relab/reflectance.csv")))
+    [fit] = fit_spectra([s for s in spectra if s.id == "PE-CMP-030"], model_of(FILE), model_error=0.05, starts=1)
+    assert isinstance(fit, MgmFit)
+    assert 900 <= fit.bands[1].center_nm <= 935
+    assert 1800 <= fit.bands[2].center_nm <= 1950
