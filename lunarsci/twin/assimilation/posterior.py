@@ -19,6 +19,7 @@ Monte Carlo Statistical Methods, 2nd ed., ch. 7 (independence Metropolis).
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -377,9 +378,14 @@ class Emulator:
         return np.asarray(np.einsum("ij,ij->i", q @ self.form, q))
 
 
+@cache
+def _pairs(count: int) -> tuple[IndexArray, IndexArray]:
+    return np.triu_indices(count)
+
+
 def monomials(scaled: FloatArray) -> FloatArray:
     """Of order 0, 1 and 2. (points, 1 + p + p (p + 1) / 2)"""
-    row, column = np.triu_indices(scaled.shape[1])
+    row, column = _pairs(scaled.shape[1])
     return np.hstack([np.ones((len(scaled), 1)), scaled, scaled[:, row] * scaled[:, column]])
 
 

@@ -447,11 +447,17 @@ class DriveResiduals:
         drive, samples = (self.rover, self.terrain, self.plan), self.belief.samples(transforms)
         return predict(*drive, samples=samples, time_step_s=STEP_S, sample_m=SAMPLE_M, ruts=self.ruts)
 
+    @cached_property
+    def within(self) -> tuple[FloatArray, FloatArray]:
+        """Centres of the first laws, and how far from them soils are tried. (p,), (p,)"""
+        center, width = np.array([(law.center, law.width) for law in self.belief.laws.values()]).T
+        return center, HUBER * width
+
     def near(self, transforms: FloatArray) -> BoolArray:
         """Soils that are no farther from the first laws than `HUBER`. (points,)"""
-        center, width = np.array([(law.center, law.width) for law in self.belief.laws.values()]).T
+        center, reach = self.within
         with np.errstate(invalid="ignore"):
-            return np.asarray((np.abs(transforms - center) < HUBER * width).all(axis=1))
+            return np.asarray((np.abs(transforms - center) < reach).all(axis=1))
 
     def residuals(self, transforms: FloatArray) -> FloatArray:
         """Whitened residuals, simulated less measured, of states, then of positions. (points, r)
