@@ -167,11 +167,14 @@ def test_bad_states_are_one_line_that_says_what_is_wrong(
     assert done.code == 1 and says in done.err[-1] and done.out == ""
 
 
-def test_positions_need_their_errors(run, short_plan: Path, tmp_path: Path) -> None:
-    (tmp_path / "states.csv").write_text("time_s,wheel,sinkage_m\n1,FL,0.01\n")
+def test_positions_without_errors_have_2_cm(run, short_plan: Path, short_states: Path, tmp_path: Path) -> None:
     (tmp_path / "fixes.csv").write_text("time_s,x_m,y_m\n1,0,0\n")
-    done = run("twin", "update", tmp_path / "states.csv", "--plan", short_plan, "--positions", tmp_path / "fixes.csv")
-    assert done.code == 1 and "add sigma_m" in done.err[0]
+    update = ("twin", "update", short_states, "--plan", short_plan, "--particles", "32", "--json")
+    bare = run(*update, "--positions", tmp_path / "fixes.csv")
+    assert any("0.02 m assumed, add sigma_m" in line for line in bare.err)
+    (tmp_path / "fixes.csv").write_text("time_s,x_m,y_m,sigma_m\n1,0,0,0.02\n")
+    stated = run(*update, "--positions", tmp_path / "fixes.csv")
+    assert json.loads(bare.out)["result"] == json.loads(stated.out)["result"]
 
 
 def test_states_and_beliefs_are_not_taken_for_another_rover(run, short_plan: Path, tmp_path: Path) -> None:

@@ -506,8 +506,6 @@ class UpdateRequest(RoverOnGround):
         refuse_where({
             "`forget` has nothing to forget, as the priors are believed; give `soil`":
                 bool(self.forget) and self.soil is None,
-            "`correlation` is of a soil map; give one as `soil`, or save one":
-                self.correlation is not None and self.soil is None and not self.by_place,
         })  # fmt: skip
 
 

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.errors import DataError, LunarSciWarning
+from lunarsci.errors import DataError, LunarSciWarning, warn
 from lunarsci.io.inputs import InputFile, InputStream, open_input
 from lunarsci.io.tables import (
     check_columns,
@@ -497,14 +497,20 @@ class Positions(NamedTuple):
 def read_positions(source: InputFile) -> Positions:
     """Read positions from CSV: `time_s`, `x_m`, `y_m`, `sigma_m` or `xx_m2`, `xy_m2`, `yy_m2`, and optionally `SHARED`.
 
+    Without errors `POSITION_SIGMA_M` is assumed, with a warning.
+
     Rows without a time, as of stations that are not on the drive, are left out. Raises DataError, also for rows of one
     time that contradict each other.
     """
     file = source.name
     table = from_ros(file, read_csv_table(source))
     shares = bool({*SHARED} & {*table})
-    errors = ERRORS if shares or {*ERRORS} & {*table} else ("sigma_m",)
+    errors = ERRORS if shares or {*ERRORS} & {*table} else ()
     check_columns(file, table.columns, POSITION_COLUMNS, ("time_s", "x_m", "y_m", *errors, *(SHARED if shares else ())))
+    if not errors and "sigma_m" not in table:
+        columns = "sigma_m, or xx_m2, xy_m2 and yy_m2"
+        warn(f"{file}: no errors of the positions; {POSITION_SIGMA_M:g} m assumed, add {columns} where you have them")
+        table["sigma_m"] = str(POSITION_SIGMA_M)
     timed = table["time_s"].fillna("").str.strip() != ""
     if not timed.any():
         raise DataError(f"{file}: no position has a time; add time_s, in s from the start of the drive")
