@@ -34,9 +34,13 @@ SAMPLER = "Christen & Fox (2005), J. Comput. Graph. Stat. 14, 795"
 class Before:
     """What was believed before a drive.
 
-    `belief` is of the whole drive, forgotten as far as asked; `soil_map` the map, None where the soil is not kept by
-    place; `file` what they come from, None for the priors; `doubt` why it is doubtful, empty where it is not;
-    `believed` whether it is a belief that was not all forgotten.
+    Attributes
+    ----------
+    belief : of the whole drive, forgotten as far as asked.
+    soil_map : the map; None where the soil is not kept by place.
+    file : what they come from; None for the priors.
+    doubt : why it is doubtful; empty where it is not.
+    believed : whether it is a belief that was not all forgotten.
     """
 
     belief: SoilBelief

@@ -197,6 +197,7 @@ def joined(parts: Sequence[Prediction]) -> Prediction:
 
 
 def _joined_discrepancy(parts: Sequence[Prediction]) -> DrawnDiscrepancy | None:
+    """Draws of successive members as one; None where the predictions have none."""
     drawn = [part.discrepancy for part in parts if part.discrepancy is not None]
     if not drawn:
         return None
@@ -332,6 +333,7 @@ def _unfinished(prediction: Prediction) -> tuple[tuple[int, float], Weakest]:
 
 
 Preference: TypeAlias = Literal["energy", "length", "time", "risk"]
+"""What decides among drives that keep the accepted risk: the least of it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -27,7 +27,9 @@ from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.ensemble import Prediction
 
 SPEED = "plan.speed_m_s"
+"""The one number of a plan that can be varied."""
 AXES = ("x", "y", "z")
+"""Ends of the names of a vector's numbers."""
 MOST_DESIGNS = 2000
 """Each is a whole ensemble of drives; assumed."""
 LUGS = (
@@ -48,8 +50,13 @@ CURVE = tuple(np.linspace(0.0, 0.6, 13).tolist())
 
 @dataclass(frozen=True, slots=True)
 class Variation:
-    """Range of one number of the design: `TABLE.KEY` of the rover file, with `.x`, `.y` or `.z` of a vector, or
-    `plan.speed_m_s`; and how many values a grid has of it.
+    """Range of one number of a design.
+
+    Attributes
+    ----------
+    name : `TABLE.KEY` of the rover file, with `.x`, `.y` or `.z` of a vector, or `plan.speed_m_s`.
+    low, high : its ends, in the unit that the name ends in.
+    count : how many values a grid has of it.
 
     Raises ParameterError for a range that is none.
     """
@@ -202,8 +209,8 @@ class MissionOutcome:
     duration_s : of all plans together. [s]
     bias_m : distance of the mean end from the planned destination, of several plans the largest; None where no member
         reaches the end of a plan. [m]
-    scatter_m : radius of the smallest circle that holds every end, of several plans the largest; None as for `bias_m`.
-        [m]
+    scatter_m : radius of the smallest circle that holds every end, of several plans the largest; None where no member
+        reaches the end of a plan. [m]
     traction : of a wheel under its share of the weight on level ground, on the median soil; None where the soil does
         not carry it.
     reasons : why plans are no-go, one sentence each.

@@ -76,6 +76,7 @@ against the contact, so that a step under way passes it. [m]"""
 STEADY = 0.02
 """A rim whose speed changes by less than this share in a step is under way; assumed."""
 RIM_ROW = WHEEL.first["rim"] * GROUP
+"""Where the speeds of the rims begin in a wheel's array."""
 
 
 def contact_frame(slope_x: Any, slope_y: Any, axle: Any) -> Any:
@@ -189,7 +190,7 @@ def lean(wheels: Any, w: Any, tyre: Any, lane: Any) -> None:
 
 
 class RutGrid(NamedTuple):
-    """Where ruts are kept: nodes (rows, columns), and `Work.frame`."""
+    """Where ruts are kept: how many nodes (rows, columns), and `Work.frame` (7,)."""
 
     shape: tuple[int, int]
     frame: FloatArray

@@ -334,11 +334,14 @@ def correlation_length(motion: Motion, states: PoseStates | None) -> tuple[float
 
 @dataclass(frozen=True, slots=True)
 class Shares:
-    """Where the variance of a force comes from, over all wheels and poses; the shares add up to 1. [-]
+    """Where the variance of a force comes from, over all wheels and poses: four shares that add up to 1.
 
-    `soil` and `motion` are what each brings alone, `balance` the error of the totals, `together` what soil and motion
-    bring only jointly (and sampling error; it may be below 0). `of_force` is the standard deviation that the soil
-    brings, as a share of the force itself (root mean squares).
+    Attributes
+    ----------
+    soil, motion : what each brings alone. [-]
+    balance : what the error of the totals brings. [-]
+    together : what soil and motion bring only jointly, and sampling error; it may be below 0. [-]
+    of_force : standard deviation that the soil brings, as a share of the force itself (root mean squares). [-]
     """
 
     soil: float
