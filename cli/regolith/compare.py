@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from lunarsci.regolith.jobs.compare_soils import ComparedSoils
 
 SHOWN = 8
+"""Soils in each table for people."""
 GIVEN = "The site, instead of a result"
 OPTIONS = {
     "rover": option(),

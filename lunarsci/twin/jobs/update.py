@@ -272,8 +272,14 @@ def update(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _DrivenLine:
-    """What a line of history says of a drive, whatever was found: its inputs, its states, why they are doubtful, and
-    what was believed before."""
+    """What a line of history says of a drive, whatever it taught.
+
+    Attributes
+    ----------
+    inputs, states : what was driven, and the file of its states.
+    doubts : why these are doubtful, one sentence each; empty ones count for nothing.
+    before : what was believed before it.
+    """
 
     inputs: DriveInputs
     states: InputFile
