@@ -154,7 +154,7 @@ class RoverVector(NamedTuple):
     center : its centre of mass. (3,) [m]
     pivot_y : half the distance between the rocker pivots. [m]
     bogie : bogie pivot from the rocker pivot, of the left side; zeros without bogies. (3,) [m]
-    arms : wheel centres from the pivot that they hang on, y positive outwards on the left only. (wheels, 3) [m]
+    arms : wheel centres from the pivot that they hang on, in the rover's frame. (wheels, 3) [m]
     hung : 1 where a wheel hangs on a bogie, 0 on a rocker. (wheels,)
     bogies : whether there are any.
     steering_offset : how far outboard of its steering axis a wheel stands. [m]

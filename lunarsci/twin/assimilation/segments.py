@@ -250,7 +250,7 @@ class _Fits:
     places : pieces after which a change is tried.
     inverse : of the root of the covariance of each quantity's means. (q, m, m)
     whole : whitened derivatives by the soil of the whole way. (q * m, 8)
-    before : the same of the way before each place, 0 after it. (places, q * m, 8)
+    before : the same of the way up to each place alone. (places, q * m, 8)
     one, two : inverses of the normal equations of one soil, and of two, with the first laws as a penalty. (8, 8),
         (places, 16, 16)
     """

@@ -37,7 +37,7 @@ SETTLE_ROUNDS = 300
 SETTLE_TOLERANCE = 1e-9
 """Largest force that is left in equilibrium, as a share of the weight."""
 LONGEST_MOVE = 0.02
-"""Longest move of a settling round [m or rad]: less than it takes to lift a wheel off its neighbour's plane."""
+"""Longest move of a settling round [m, rad]: less than it takes to lift a wheel off its neighbour's plane."""
 CALM = 0.4
 """Share of a change of the forces along the surface that a round makes: with all of it loads and forces chase each
 other on steep ground."""

@@ -508,7 +508,7 @@ class _FirstMotion(NamedTuple):
 
     Attributes
     ----------
-    sent : rows of telemetry, measured columns shifted back by the lag.
+    sent : rows of telemetry, positions, headings and attitude at the time of the wheels that made them.
     nodes : the moments at which the motion is estimated.
     rows : numbers of the nodes that are rows of `sent`.
     smoothed : the motion at the nodes.
