@@ -30,6 +30,7 @@ GROUPS = {
     "images": "What pictures show: terrain, where the rover stands, how deep its tracks are, and rocks.",
     "twin": "Whether the next drive is safe: a rover simulated on deformable ground.",
 }
+"""Groups of commands, and what the help says of each."""
 HELP = (
     "From a lunar rover's spectra and wheel telemetry to what the rock is, what the ground is, and whether the next "
     "drive is safe."
@@ -39,6 +40,7 @@ COMPLETING = "_LUNARSCI_COMPLETE"
 """Set by the shell where it asks what may come next; the words so far are then in these two, by shell."""
 TYPED = ("COMP_WORDS", "_TYPER_COMPLETE_ARGS")
 NO_CHOICE, CHOICE = re.compile(r"'([^']*)' is not one of (.+)\."), re.compile(r"'([^']+)'")
+"""Typer's message for a value that is no choice of an option, and each choice in it."""
 MOMENT_S = 2.0
 """What a command is given to end by itself after Ctrl-C; assumed."""
 EXIT_CODES = (

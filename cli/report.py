@@ -43,6 +43,7 @@ def report(results: Results, request: ReportRequest) -> Report:
     from lunarsci.pages.job import report
 
     made = report(results, request=request)
+    # The provenance has no time_utc where --no-time was given, and the page is to have none then.
     html = {".html": lambda record: made.html(time="time_utc" in record)}
     return Report(made, lambda: _tables(made), formats=html)
 

@@ -2,6 +2,7 @@
 
 import ast
 import graphlib
+import itertools
 import re
 import tomllib
 from collections import Counter
@@ -108,6 +109,55 @@ def test_version_is_one() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert lunarsci.__version__ == project["version"]
     assert f"version: {project['version']}\n" in (ROOT / "CITATION.cff").read_text()
+
+
+def entries(node: ast.AST, section: str) -> list[str]:
+    """Names that a section of a docstring describes: `a, b : ...` are two."""
+    lines = (ast.get_docstring(node) or "").splitlines()
+    names: list[str] = []
+    for first in (k + 2 for k, line in enumerate(lines[:-1]) if line == section and set(lines[k + 1]) == {"-"}):
+        for line in itertools.takewhile(bool, lines[first:]):
+            if not line.startswith(" "):
+                names += line.partition(" : ")[0].split(", ")
+    return names
+
+
+def members(node: ast.ClassDef, classes: dict[str, ast.ClassDef]) -> set[str]:
+    """Fields, properties and methods of a class, what it assigns to itself, and those of its bases."""
+    names = {entry.target.id for entry in node.body if isinstance(entry, ast.AnnAssign)}
+    for part in ast.walk(node):
+        if isinstance(part, ast.FunctionDef):
+            names.add(part.name)
+        elif isinstance(part, ast.Attribute) and isinstance(part.ctx, ast.Store):
+            names.add(part.attr)
+    bases = [classes[base.id] for base in node.bases if isinstance(base, ast.Name) and base.id in classes]
+    return names.union(*(members(base, classes) for base in bases))
+
+
+def arguments(node: ast.FunctionDef) -> set[str]:
+    taken = node.args
+    given = [*taken.posonlyargs, *taken.args, *taken.kwonlyargs, taken.vararg, taken.kwarg]
+    return {one.arg for one in given if one is not None}
+
+
+def test_docstrings_describe_what_there_is() -> None:
+    """An entry under `Attributes` is a member of its class, one under `Parameters` a parameter."""
+    nodes = [(path, node) for path, tree in trees() for node in ast.walk(tree)]
+    classes = {node.name: node for _, node in nodes if isinstance(node, ast.ClassDef)}
+    described, stale = 0, []
+    for path, node in nodes:
+        if isinstance(node, ast.FunctionDef):
+            named, there = entries(node, "Parameters"), arguments(node)
+        elif isinstance(node, ast.ClassDef):
+            begin = [part for part in node.body if isinstance(part, ast.FunctionDef) and part.name == "__init__"]
+            named = [*entries(node, "Attributes"), *entries(node, "Parameters")]
+            there = members(node, classes).union(*map(arguments, begin))
+        else:
+            continue
+        described += len(named)
+        stale += [f"{path.relative_to(ROOT)}:{node.name}: {name}" for name in named if name not in there]
+    assert described > 2500, "or nothing was looked at"
+    assert stale == []
 
 
 def lengths() -> list[tuple[str, int]]:

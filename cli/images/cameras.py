@@ -32,6 +32,7 @@ Sources = Annotated[
     ),
 ]
 SHOWN = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "p1", "p2")
+"""Intrinsics of a camera that the table has, in their order."""
 EXAMPLES = (
     "lunarsci images cameras yutu2-pancam",
     "lunarsci images cameras lunarsci-demo/rig.toml --disparity-error 0.2",

@@ -23,6 +23,7 @@ OPTIONS = {
     "seed": option(),
 }
 SHOWN = 20
+"""Rocks in the table for people."""
 EXAMPLES = (
     "lunarsci images rocks ground/terrain.npz",
     "lunarsci images rocks ground/terrain.npz -o rocks.geojson",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lunarsci.regolith.jobs.requests import CompareSoilsRequest
-from lunarsci.rovers import called
+from lunarsci.rovers import called as name_for_people
 
 from ..shared.command import command
 from ..shared.emit import Report
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from lunarsci.regolith.jobs.compare_soils import ComparedSoils
 
 SHOWN = 8
+"""Soils in each table for people."""
 GIVEN = "The site, instead of a result"
 OPTIONS = {
     "rover": option(),
@@ -74,7 +75,7 @@ def result_tables(result: ComparedSoils) -> list[TextTable]:
         ranged = ["68 %"] if any(_range(item, aspect) for item in ordered) else []
         fitted = ["N", "k_c", "k_φ"] if aspect == "bearing" else ["c [Pa]", "φ [deg]"]
         wheel = (
-            f"wheel of {called(result.rover, result.called)}, {1e3 * result.width_m:.0f} mm wide; "
+            f"wheel of {name_for_people(result.rover, result.called)}, {1e3 * result.width_m:.0f} mm wide; "
             if aspect == "bearing"
             else ""
         )

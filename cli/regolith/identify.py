@@ -31,6 +31,7 @@ SYMBOLS = {
     "external_friction_angle_deg": "φ_y",
     "lateral_modulus_mm": "K_y",
 }
+"""Symbols of solved parameters in tables."""
 QUANTITIES = {
     "sinkage_m": "sinkage",
     "slip_ratio": "slip ratio",
@@ -39,8 +40,10 @@ QUANTITIES = {
     "drawbar_pull_n": "drawbar pull",
     "lateral_force_n": "lateral force",
 }
+"""Words for measured quantities in tables."""
 NOTE = "errors are those of one state, as states scatter; how well all fix one soil: `lunarsci regolith infer`"
 MANY_STATES, LEAST_SHARE = 30, 0.005
+"""States beyond which the table of single ones is left out, and share of an error from which on it has a row."""
 States = Annotated[
     str,
     typer.Argument(

@@ -36,8 +36,12 @@ LABELS = {
     "max_stress_c2": ("its rise with slip c2", "-"),
     "exit_c3": ("exit angle c3", "-"),
 }
+"""Words and unit of each parameter in tables."""
 HOW = {"normal": "of a normal law", "sample": "of draws from the posterior", "profile": "by profile"}
+"""How intervals were made, in words."""
 SHOWN_SHARE, SHOWN_WEIGHT, MOST_SHOWN, MOST_STATES = 0.5, 0.3, 3, 30
+"""Of combinations of parameters: width left of the prior's below which one is shown, weight of a parameter from which
+on it is named, and how many are shown; and predicted states in the table."""
 OPTIONS = {name: SINGLE[name] for name in SINGLE if name != "reading"} | {
     "prior": option("--prior-file", metavar="FILE.toml"),
     "model_error": option(panel=LAW),

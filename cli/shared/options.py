@@ -20,7 +20,9 @@ from lunarsci.options import choices_of, meanings
 from .talk import progress
 
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
+"""Ends of names of pictures."""
 PANEL = "Output"
+"""Of the help, for options that commands share."""
 FORMS = ("text", "md", "tsv", "latex", "csv", "json")
 """Forms of a result; the last two as --csv and --json."""
 FORM_OF = {".txt": "text", ".md": "md", ".tsv": "tsv", ".tex": "latex", ".csv": "csv", ".json": "json"}
@@ -37,7 +39,20 @@ WIDEST = 24
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Output:
-    """The shared options of a command, as given."""
+    """The shared options of a command, as given.
+
+    Attributes
+    ----------
+    as_json, as_csv, form : whether --json or --csv was given, and the form of --format.
+    field_path : key of the result whose value alone is wanted; None for all.
+    path, folder : --output, and whether it is a folder.
+    plot, failed : files for the picture, and for the inputs that gave no result.
+    force : whether files may be overwritten.
+    no_time : whether the time is left out of the provenance.
+    quiet, verbose : without progress and warnings; a failure with its traceback.
+    columns : names of the wanted columns, with commas between; None for all.
+    bars : progress that ends with the command's function.
+    """
 
     as_json: bool
     as_csv: bool
@@ -171,7 +186,9 @@ def shared_options(folder: bool, default_path: str | None, batch: bool) -> dict[
 
 
 SPREAD = ("scheduler", "workers")
+"""Options of commands that compute in threads or on a cluster."""
 BLOCKS = (*SPREAD, "memory")
+"""Options of those that also work in blocks."""
 _COMPUTING: dict[str, tuple[Any, str, str]] = {
     "scheduler": (
         str | None,
@@ -257,7 +274,14 @@ CONFIG = Annotated[
 
 @dataclass(frozen=True, slots=True)
 class RequestOption:
-    """What the command line adds to a field of a request: flags, settings of `typer.Option`, a type of its own."""
+    """What the command line adds to a field of a request.
+
+    Attributes
+    ----------
+    flags : as typed, such as `--model-error`; empty for the field's name.
+    settings : arguments of `typer.Option`.
+    kind : type on the command line, where it is not that of the field.
+    """
 
     flags: tuple[str, ...]
     settings: Mapping[str, Any]

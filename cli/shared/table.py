@@ -20,18 +20,26 @@ if TYPE_CHECKING:
 SHOWN = 100
 """Rows that a table for people has at most."""
 UNKNOWN = "not determined"
+"""In the place of a value that has none."""
 MOST_NAMED = 3
 """Things that a note names of those it holds for."""
 MOST_VERDICTS = 6
 """Spectra whose verdicts are shown."""
 SAYS = "What this says"
+"""Title of verdicts."""
 
 
 @dataclass(frozen=True, slots=True)
 class TextTable:
-    """A titled table of ready-made cells; `notes` are lines below it.
+    """A titled table of ready-made cells.
 
     Of more rows than `SHOWN` the first are shown; then it is enough to make these, and to say how many there are.
+
+    Attributes
+    ----------
+    headers, rows : cells of the head, and of each row as many.
+    title, notes : the line above, and lines below.
+    total : how many rows there are; 0 where all were made.
     """
 
     headers: Sequence[str]
@@ -160,6 +168,7 @@ RANKS: Mapping[str, int] = {
 """Columns that go later (1) or sooner (3, 4) than others (2) where there is no room; of equals the right one goes
 first. Those of 4 go before sentences become footnotes. The first column of a table always stays."""
 DISPENSABLE = 4
+"""Rank of columns that go before sentences become footnotes."""
 
 
 def terminal_width() -> int:
@@ -297,6 +306,7 @@ def wrapped(text: str, width: int) -> list[str]:
 
 
 _NEVER_CUT = 100_000
+"""A width that no line has."""
 TEX_SIGNS = {sign: f"\\{sign}" for sign in "&%$#_{}"} | {
     "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "±": r"$\pm$",
     "≤": r"$\le$", "≥": r"$\ge$", "²": "$^2$", "³": "$^3$", "°": r"$^\circ$", "µ": r"$\mu$", "φ": r"$\phi$",

@@ -10,10 +10,18 @@ from typing import Any
 from lunarsci.errors import LunarSciError
 from lunarsci.printable import printable, shortened
 
-FAILED, USAGE, UNTRUSTED, NO_FILES = 1, 2, 3, 4
+FAILED = 1
+"""Exit code: there is no answer, as an input is wrong or a file cannot be read or written."""
+USAGE = 2
+"""Exit code: the command line is wrong, or would overwrite a file."""
+UNTRUSTED = 3
+"""Exit code: there is an answer, which is doubtful or a no-go."""
+NO_FILES = 4
+"""Exit code: a pattern or folder named no file to read."""
 LINE_EVERY_S = 60.0
-"""Between lines of progress in a log."""
+"""Between lines of progress in a log. [s]"""
 _heard = [int(signal.SIGINT)]
+"""The signal that came last; a list, as `interrupt` changes it."""
 
 
 def interrupt(number: int, frame: Any) -> None:

@@ -32,6 +32,7 @@ Plane = Annotated[
     typer.Option(metavar="FILE", help="Draw the 2 µm centre over the 1 µm centre among the pyroxenes (.png, …)."),
 ]
 AT_A_GLANCE = ("fs_gaffey", "wo_gaffey", "en_gaffey", "fs_trend_bc2000", "fo_bc1000", "opx_cloutis")
+"""Regressions that the table of many spectra has, by their keys."""
 EXAMPLES = (
     "lunarsci spectra bands lunarsci-demo/rock.ecsv",
     "lunarsci spectra bands lunarsci-demo/rock.ecsv --continuum hull \\\n  --plot bands.png",

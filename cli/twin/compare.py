@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 FORECAST = "prediction.json"
 """By which a folder of `twin predict -o` is known."""
 TRIAL_UNITS = {"slip_ratio": ("slip", "-"), "side_slip_deg": ("side slip", "deg"), "end_m": ("end", "m")}
+"""Words and unit of what trials are scored by."""
 FILE: dict[str, Any] = {"kind": str | None, "metavar": "FILE"}
 OPTIONS = {
     "positions": option(**FILE),

@@ -27,6 +27,7 @@ COLUMNS = {
     "slip_ratio": ("slip [-]", 1.0),
     "side_slip_deg": ("side slip [deg]", 1.0),
 }
+"""Head of each column of the table, and by what its numbers are multiplied there."""
 EXAMPLES = (
     "lunarsci twin forces plan.toml",
     "lunarsci twin forces plan.toml --soil lunar-typical --csv",

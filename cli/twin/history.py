@@ -30,6 +30,7 @@ SavedBelief = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Takes the belief of --rollback (JSON), for `twin update`.")
 ]
 ENDS = (("low", "high"), ("ground_low_68", "ground_high_68"))
+"""Keys of the ends of 68 %: of the effective value, and of the ground's own."""
 SHORT = {
     "stiffness_kpa_m_n": "K_s",
     "sinkage_exponent": "N",
@@ -40,6 +41,7 @@ SHORT = {
     "external_friction_angle_deg": "φ_y",
     "lateral_modulus_mm": "K_y",
 }
+"""Symbols of the parameters in tables."""
 EXAMPLES = (
     "lunarsci twin history belief.json",
     "lunarsci twin history second.json --against belief.json",

@@ -50,7 +50,9 @@ SavedBelief = Annotated[
     ),
 ]
 SYMBOLS = {"normal_force_n": "F_N", "drawbar_pull_n": "F_DP", "lateral_force_n": "F_L"}
+"""Of the forces, in tables."""
 UNITS = {"ahead": "N", "left": "N", "moment": "N m"}
+"""Of the totals."""
 EXAMPLES = (
     "lunarsci twin loads --motion states/motion.csv",
     "lunarsci twin loads --motion states/motion.csv --states states/states.csv",

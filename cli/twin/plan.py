@@ -53,6 +53,7 @@ SHORT = {
     "clearance_m": "clearance", "keep_out_m": "keep-out", "endpoint_miss_m": "end", "unfinished": "stuck",
     "motor_torque_nm": "torque", "motor_load": "motors", "battery_charge": "battery",
 }  # fmt: skip
+"""Words for limits where a table has little room."""
 SHOWN = 12
 """Candidates in the table for people."""
 EXAMPLES = (

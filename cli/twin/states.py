@@ -43,6 +43,7 @@ DrivenPlan = Annotated[
     str | None, typer.Argument(help="Plan that was driven (TOML), to compare clock, commands and speed with.")
 ]
 FACTORS = {"slip_ratio": 1.0, "side_slip_deg": 1.0, "sinkage_m": 1e3}
+"""By what numbers of a column are multiplied in the table: sinkage is in mm."""
 EXAMPLES = (
     "lunarsci twin states drive/telemetry.csv plan.toml \\\n  --track drive/track.csv -o states",
     "lunarsci twin states drive/telemetry.csv --csv",

@@ -60,12 +60,14 @@ def attributes_in(docstring: str) -> dict[str, str]:
 
 @cache
 def attributes_of(area: str) -> dict[str, tuple[str, str]]:
-    """Name to unit and meaning, as the classes of `lunarsci/AREA` say it, those of its jobs first."""
+    """Name to unit and meaning, as the public classes of `lunarsci/AREA` say it, those of its jobs first."""
     folder = Path(__file__).parents[2] / "lunarsci" / area
     found: dict[str, tuple[str, str]] = {}
     for path in sorted(folder.rglob("*.py"), key=lambda path: (path.parent.name != "jobs", path)):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-            if isinstance(node, ast.ClassDef) and (text := ast.get_docstring(node, clean=False)):
+            if not isinstance(node, ast.ClassDef) or node.name.startswith("_"):
+                continue
+            if text := ast.get_docstring(node, clean=False):
                 for name, said in attributes_in(text).items():
                     found.setdefault(name, unit_and_meaning(said))
     return found

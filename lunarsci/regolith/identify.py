@@ -103,10 +103,10 @@ class Assumptions:
 
     Attributes
     ----------
-    exponent [-], stiffness_kpa_m_n [kPa m^-N] : bearing pair N, K_s.
-    cohesion_pa [Pa], friction_angle_deg [deg] : shear pair c, phi.
+    exponent, stiffness_kpa_m_n : bearing pair N, K_s. [-, kPa m^-N]
+    cohesion_pa, friction_angle_deg : shear pair c, phi. [Pa, deg]
     shear_modulus_mm : K_x, 17.8 mm is typical. [mm]
-    lateral_modulus_mm [mm], one or more values, external_friction_angle_deg [deg] : lateral pair K_y, phi_y.
+    lateral_modulus_mm, external_friction_angle_deg : lateral pair K_y, one or more values, and phi_y. [mm, deg]
     """
 
     exponent: float | None = None

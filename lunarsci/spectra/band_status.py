@@ -318,9 +318,10 @@ MEASURED = QUANTITIES[: NUMBER.deepest_nm]
 class BandColumns:
     """One band of m spectra; each array is (m,), a number NaN where there is none.
 
+    Names that `BandResult` has, too, mean the same.
+
     Attributes
     ----------
-    center_nm, … : as in `BandResult`.
     deepest_nm, note_deepest_nm : where the band of the reported continuum, and of the wanted one, is deepest. [nm]
     narrow_nm, narrow_width_nm : centre and width of a narrow absorption in it, or that makes it. [nm]
     continuum : place in `CONTINUA` of the one used, -1 for none.

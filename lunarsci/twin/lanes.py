@@ -64,16 +64,26 @@ OUTCOMES = (
     f"cliff: the ground below or before a wheel is steeper than {STEEPEST_DEG:g} deg",
     "fell: it moved at more than 1 m/s, off a cliff or down a slope that does not hold it",
 )
+"""How the drive of a member can end, in words of results."""
 FINISHED, LEFT, HOLE, OVERTURNED, DIVERGED, UNSETTLED, SANK, CLIFF, FELL = range(len(OUTCOMES))
-"""Numbers of the outcomes."""
+"""Numbers of the outcomes. While a rover is driven FINISHED stands for one that nothing has stopped yet."""
 
 
 class Work(NamedTuple):
     """Scratch arrays of a group of rovers, so that a step allocates nothing.
 
-    `code` is the outcome of each member. `ruts` (GROUP, ny, nx, 2) has the depths that wheels have pressed and that are
-    left of them [m], a single node where ruts are left out; `frame` says where: x, y of the start, cosine and sine of
-    its heading over the spacing, its column and row, and 0 where a step does not look ruts up again.
+    Rows are of GROUP numbers, one a rover; the tables below name them.
+
+    Attributes
+    ----------
+    body : rows `BODY`. (BODY.rows * GROUP,)
+    wheels : rows `WHEEL` of each wheel. (wheels, WHEEL.rows * GROUP)
+    sides : rows `SYSTEM` of the left and the right side. (2, SYSTEM.rows * GROUP)
+    code : how the drive of each rover ended, a number of `OUTCOMES`; FINISHED while it goes on. (GROUP,)
+    ruts : depths that wheels have pressed, and what is left of them; a single node where ruts are left out. (GROUP, ny,
+        nx, 2) [m]
+    frame : where the nodes of ruts are: x, y of the start, cosine and sine of its heading over the spacing, its column
+        and row; and 0 where a step does not look ruts up again, else 1. (7,) [m, m, 1/m, 1/m, -, -, -]
     """
 
     body: FloatArray

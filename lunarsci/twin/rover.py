@@ -23,7 +23,9 @@ from lunarsci.rovers import RoverDescription, read_rover
 SOLAR_CONSTANT_W_M2 = 1360.8
 """Power of sunlight through a square metre at 1 au: Kopp & Lean (2011), 10.1029/2010GL045777. [W/m2]"""
 PAIRS = ("front", "middle", "rear")
+"""Pairs of wheels, from front to rear; a rover without bogies has no middle one."""
 BOGIES = ("rear", "front", "none")
+"""Where the bogies are, see `Rover.bogie`."""
 HUNG = {"rear": ("middle", "rear"), "front": ("front", "middle"), "none": ()}
 """Pairs of wheels on the bogies, by where these are; the others are on the rockers."""
 FALLBACK_SLOPE_DEG = 15.0
@@ -140,7 +142,25 @@ class Body:
 
 
 class RoverVector(NamedTuple):
-    """What the compiled formulas read of a rover, SI units; the meaning of each entry is in `Rover`."""
+    """What the compiled formulas read of a rover, in SI units; more of each number is in `Rover`.
+
+    Wheels are in the order of `Rover.wheels`: front to rear, left before right.
+
+    Attributes
+    ----------
+    body_kg : mass of the chassis. [kg]
+    wheel_kg : mass of one wheel with its share of the arm. [kg]
+    inertia : principal moments of the chassis. (3,) [kg m2]
+    center : its centre of mass. (3,) [m]
+    pivot_y : half the distance between the rocker pivots. [m]
+    bogie : bogie pivot from the rocker pivot, of the left side; zeros without bogies. (3,) [m]
+    arms : wheel centres from the pivot that they hang on, in the rover's frame. (wheels, 3) [m]
+    hung : 1 where a wheel hangs on a bogie, 0 on a rocker. (wheels,)
+    bogies : whether there are any.
+    steering_offset : how far outboard of its steering axis a wheel stands. [m]
+    joint_damping : torque of a joint over its rate. [N m s]
+    gravity : [m/s2]
+    """
 
     body_kg: float
     inertia: FloatArray

@@ -30,7 +30,9 @@ class FittedBand:
 
     Attributes
     ----------
-    center_nm, fwhm_nm, strength and their standard errors : strength in ln reflectance, 0 or below. [nm, nm, -]
+    name, mineral, region : as in the table of bands.
+    center_nm, fwhm_nm, strength : strength in ln reflectance, 0 or below. [nm, nm, -]
+    center_sigma_nm, fwhm_sigma_nm, strength_sigma : their standard errors. [nm, nm, -]
     center_calibration_nm, fwhm_calibration_nm, strength_calibration : standard deviation from the errors that all
         channels share (`Spectrum.systematic`), by linear response of the fit; None where none is known, and where by
         `damping` the errors of the band span the spectrum, so that no linear response tells it. [nm, nm, -]

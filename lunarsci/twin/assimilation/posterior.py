@@ -40,11 +40,13 @@ PRESSURE_PA = 5000.0
 STIFFNESS, EXPONENT, COHESION, FRICTION = (
     PARAMETERS.index(name) for name in ("stiffness_kpa_m_n", "sinkage_exponent", "cohesion_pa", "friction_angle_deg")
 )
+"""Their places among the parameters."""
 SHALLOW_M = 1e-4
 """Least typical sinkage: the coordinates need its logarithm."""
 STARTS, DESCENTS, STEPS = 64, 4, 16
 """Soils looked at first, how many of them are followed down, and for how many steps at most."""
 DAMPINGS = (1e-3, 1e-1, 1.0, 10.0, 100.0)
+"""Of the steps that are tried from each point (Levenberg and Marquardt's, in parts of the curvature's diagonal)."""
 WIDTH = 0.03
 """Of finite differences, in widths of the prior: above the noise of interpolated states, below curvature."""
 LONGEST = 1.0
@@ -52,10 +54,12 @@ LONGEST = 1.0
 CONVERGED, BEHIND = 0.1, 60.0
 """Fall of the cost that counts as none; how far behind the best a descent is given up after a few steps."""
 PATIENCE = 3
+"""Steps that every descent is given, however far behind it is."""
 SPARE, MOST_SHARED = 1.5, 0.9
 """Effective number of drives for each coefficient of the fit, at least, but for this share of all drives. A worse fit
 is accepted less often, and changes no law of the draws."""
 RIDGE = 1e-8
+"""Share added to the diagonal of the emulator's normal equations, so that they can be solved."""
 FIRST, EACH, ROUNDS = 192, 128, 4
 """Drives of the first round and of each later one, and rounds at most."""
 GOOD = 0.3
@@ -126,6 +130,7 @@ def inflation_of(drive: DriveResiduals, residuals: FloatArray, places: FloatArra
 
 
 def _by_wheel(drive: DriveResiduals, values: FloatArray, k: int) -> list[FloatArray]:
+    """Those of some values (n,) of quantity k that count, for each wheel that has any."""
     counted, wheels = drive.counted[:, k], np.array(drive.record.wheel)
     parts = [values[counted & (wheels == name)] for name in dict.fromkeys(drive.record.wheel)]
     return [part for part in parts if part.size]
@@ -239,7 +244,14 @@ def posterior_of(drive: DriveResiduals) -> DrivePosterior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosteriorMode:
-    """The most probable point, its cost, and the inverse of the curvature there. (8,), (8, 8)"""
+    """The most probable soil.
+
+    Attributes
+    ----------
+    point : its coordinates, those of `DrivePosterior.coordinates`. (8,)
+    cost : -2 ln of likelihood times prior there, up to a constant.
+    covariance : inverse of the curvature of half the cost there. (8, 8)
+    """
 
     point: FloatArray
     cost: float
@@ -277,7 +289,14 @@ def find_mode(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Looked:
-    """Points (k, 8), their whitened residuals of drive and prior (k, r + 8), and their costs (k,)."""
+    """Points that were driven on.
+
+    Attributes
+    ----------
+    points : coordinates of soils. (k, 8)
+    rows : whitened residuals of the drive, then of the prior. (k, r + 8)
+    costs : as `DrivePosterior.cost` has them; infinite where no rover arrives. (k,)
+    """
 
     points: FloatArray
     rows: FloatArray
@@ -380,6 +399,7 @@ class Emulator:
 
 @cache
 def _pairs(count: int) -> tuple[IndexArray, IndexArray]:
+    """Numbers i <= j of all pairs of so many coordinates."""
     return np.triu_indices(count)
 
 
@@ -414,7 +434,14 @@ def fit_emulator(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Drives:
-    """Simulated drives: points (d, p), residuals weighted as at the mode (d, r), ln density (d,)."""
+    """Simulated drives that arrived.
+
+    Attributes
+    ----------
+    points : coordinates of their soils. (d, p)
+    rows : whitened residuals, those that are outliers at the mode weighed down as there. (d, r)
+    ln_density : of the coordinates, up to a constant, as `DrivePosterior.with_density` has it. (d,)
+    """
 
     points: FloatArray
     rows: FloatArray
@@ -474,14 +501,17 @@ def draw_particles(
 
 
 def _simulated(posterior: "DrivePosterior", weight: FloatArray, points: FloatArray) -> _Drives:
-    """Those that arrive."""
+    """Drives at points (k, p), those that arrive; `weight` is of each residual. (r,)"""
     rows, ln_density = posterior.with_density(points)
     arrived = np.isfinite(ln_density)
     return _Drives(points[arrived], weight * rows[arrived], ln_density[arrived])
 
 
 class _Emulated:
-    """The posterior with drives by an emulator, prior and coordinates as they are."""
+    """The posterior with drives by an emulator, prior and coordinates as they are.
+
+    `root` (p, p), the lower Cholesky factor of the mode's covariance, scales the emulator's coordinates.
+    """
 
     def __init__(self, posterior: "DrivePosterior", drives: _Drives, mode: "PosteriorMode", root: FloatArray) -> None:
         self.posterior = posterior
@@ -512,7 +542,11 @@ class _Emulated:
 
 
 class _Proposed:
-    """Independence Metropolis: draws of the emulator are accepted by how much denser the truth has them."""
+    """Independence Metropolis: draws of the emulator are accepted by how much denser the truth has them.
+
+    What `mutate` moves: `points` are the particles (particles, p), `excess` the ln of the true density over that of the
+    emulator there (particles,); -inf where no rover arrives.
+    """
 
     def __init__(
         self,

@@ -62,6 +62,7 @@ between samples does; over obstacles it is more. [m]"""
 STEP_S, SAMPLE_M = 0.1, 0.1
 """Of the simulated drives: on the embedded plan ends are off by 0.8 mm, states are interpolated in time."""
 POSITION = "position"
+"""Stands for a quantity's name where positions are meant."""
 HUBER = 4.0
 """Standard deviations beyond which a value counts by size, not square, and as an outlier, and a soil as none of the
 first laws: 1 in 16 000 by chance; assumed."""
@@ -170,6 +171,7 @@ def _without_shared(table: StateTable) -> FloatArray:
 
 
 def _valid_rows(table: StateTable) -> StateTable:
+    """The states that are marked valid, with a warning where others are left out."""
     if table.valid.all():
         return table
     out = ~table.valid
@@ -299,13 +301,14 @@ class DriveBias:
 
 
 def _column(shape: tuple[int, ...], k: int, part: FloatArray) -> FloatArray:
+    """Zeros of this shape (n, 6) but for column k (n,), row by row. (6 n,)"""
     column = np.zeros(shape)
     column[:, k] = part
     return column.ravel()
 
 
 def _moved(name: str, way: FloatArray) -> FloatArray:
-    """How far places move for a unit of a quantity. (f, 2) [m]"""
+    """How far places move for a unit of a quantity that is off throughout; `way` is from the start. (f, 2) [m]"""
     if name == "slip_ratio":
         return -way
     if name == "side_slip_deg":
@@ -315,16 +318,20 @@ def _moved(name: str, way: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MarginalisedBias:
-    """Whitening of residuals whose covariance is I + B B^T, from the singular vectors and values of B. (r, c), (c,)
+    """Whitening of residuals whose covariance is I + B B^T.
 
     Residuals along B count as much less as their errors are larger than those of single values.
+
+    Attributes
+    ----------
+    vectors, sizes : left singular vectors of B, and its singular values. (r, c), (c,)
     """
 
     vectors: FloatArray
     sizes: FloatArray
 
     def applied(self, rows: FloatArray) -> FloatArray:
-        """(..., r)"""
+        """Residuals, whitened by the errors of single values, whitened by these, too. (..., r)"""
         share = 1.0 - 1.0 / np.sqrt(1.0 + self.sizes**2)
         return np.asarray(rows - ((rows @ self.vectors) * share) @ self.vectors.T)
 
@@ -476,15 +483,16 @@ class DriveResiduals:
         return np.asarray(self._states(self.simulated(transforms[None]))[0])
 
     def states_as_measured(self, residual: FloatArray) -> FloatArray:
-        """Those of states with nothing marginalised, over their errors. (n, 6)"""
+        """Residuals of states over their errors, with nothing marginalised, from those of `residuals` (r,). (n, 6)"""
         return self.parts(self.marginalised.undone(residual))[0]
 
     def parts(self, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Those of states (n, 6), and of positions."""
+        """Residuals (r,) of states (n, 6), and of positions (2 f,), x and y in turn."""
         size = self.record.values.size
         return residual[:size].reshape(self.record.values.shape), residual[size:]
 
     def _of(self, drives: Prediction) -> FloatArray:
+        """`residuals` of simulated drives. (members, r)"""
         record, count = self.record, len(drives.outcome)
         states = np.where(self.counted, (self._states(drives) - np.nan_to_num(record.values)) / self.sigma, 0.0)
         places = at_times(record.fix_time_s, drives.time_s, drives.paths[..., :2], axis=-2)
@@ -494,4 +502,5 @@ class DriveResiduals:
         return rows
 
     def _states(self, drives: Prediction) -> FloatArray:
+        """Simulated states at the times of the measured ones. (members, n, 6)"""
         return states_at(self.record, drives.time_s, drives.states, self.rover.wheels)

@@ -40,6 +40,7 @@ longer where the drive has more pieces, whose covariance takes their number squa
 FEWEST_BINS = 4
 """On either side of a change; assumed."""
 SIMULATIONS = 999
+"""Drives over one soil that a change is held against: p-values of 0.001 or more."""
 MARGIN = 1.0
 """Standard errors by which noise counts as more correlated than it was found: the p-value is that of an unkind case
 within the uncertainty, as in Berger & Boos (1994), J. Am. Stat. Assoc. 89, 1012."""
@@ -56,6 +57,7 @@ enough for what is left of the time step's errors."""
 FINER = 0.25
 """Of the time step."""
 MOST_SEGMENTS = 16
+"""Stretches with a soil of their own beyond which no further change is looked for; assumed."""
 FEWEST_VALUES = 2 * len(PARAMETERS)
 """Of a stretch whose soil is learned, and whose median slip is judged: as many are left to judge it by as it takes.
 With fewer it stays as believed."""
@@ -196,7 +198,15 @@ def binned(places: FloatArray, values: FloatArray, slopes: FloatArray, model: Fl
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChangePoint:
-    """The most likely change: where, p-value, places tried and how much more two soils explain there. (k,), (k,)"""
+    """The most likely change of the soil.
+
+    Attributes
+    ----------
+    after_m : where it is, along the way. [m]
+    p_value : share of simulated drives over one soil whose largest statistic is as large. [-]
+    tried_m : places tried. (k,) [m]
+    statistic : how much more two soils explain than one, with the change at each of them. (k,) [-]
+    """
 
     after_m: float
     p_value: float
@@ -209,7 +219,7 @@ def find_change_point(bins: TrackBins, random: np.random.Generator, simulations:
 
     Parameters
     ----------
-    pieces : residuals of the way, `2 * FEWEST_PIECES` or more, and how they follow the soil.
+    bins : residuals along the way, in `2 * FEWEST_BINS` pieces or more, and how they follow the soil.
     random : source of random numbers.
     simulations : of drives over one soil.
     """
@@ -233,7 +243,16 @@ def find_change_point(bins: TrackBins, random: np.random.Generator, simulations:
 class _Fits:
     """One soil, and two soils with a change at each place, fitted as if noise did not persist.
 
-    What that costs is in the simulated drives, whose noise does.
+    What that costs is in the simulated drives, whose noise does. With m pieces of way and q quantities:
+
+    Attributes
+    ----------
+    places : pieces after which a change is tried.
+    inverse : of the root of the covariance of each quantity's means. (q, m, m)
+    whole : whitened derivatives by the soil of the whole way. (q * m, 8)
+    before : the same of the way up to each place alone. (places, q * m, 8)
+    one, two : inverses of the normal equations of one soil, and of two, with the first laws as a penalty. (8, 8),
+        (places, 16, 16)
     """
 
     def __init__(self, bins: TrackBins, sigma: FloatArray) -> None:
@@ -241,7 +260,6 @@ class _Fits:
         self.bins = bins
         self.places = slice(FEWEST_BINS - 1, size - FEWEST_BINS)
         self.inverse = np.linalg.inv(np.stack([_root(bins, k, sigma[k], 0.0) for k in range(quantities)]))
-        # Columns of the soil before each place, whitened: (places, quantities * pieces, 8).
         grown = np.cumsum(np.einsum("qab,bqp->bqap", self.inverse, bins.slope), axis=0)
         self.whole = grown[-1].reshape(quantities * size, -1)
         self.before = grown[:-1][self.places].reshape(-1, *self.whole.shape)
@@ -267,7 +285,7 @@ class _Fits:
         return float(np.trace(self.two[place] @ (white.T @ white)))
 
     def rest(self, place: int) -> FloatArray:
-        """What two soils with the change at a place leave. (m, q)"""
+        """Residuals of two soils with the change at a place, whose number it is. (m, q)"""
         slope, mean = self.bins.slope, self.bins.mean
         first = np.arange(len(mean)) <= place + self.places.start
         columns = np.concatenate([slope * first[:, None, None], slope * ~first[:, None, None]], axis=-1)
@@ -276,7 +294,10 @@ class _Fits:
 
 
 def _root(bins: TrackBins, quantity: int, sigma: float, autocorrelation: float) -> FloatArray:
-    """Root of the covariance of a quantity's means: noise of the values, and errors of the twin itself."""
+    """Root of the covariance of a quantity's means: noise of the values, and errors of the twin itself. (m, m) [-]
+
+    `sigma` and `autocorrelation`, from piece to piece, are of the noise of single values.
+    """
     lag = np.abs(bins.middle_m[:, None] - bins.middle_m)
     number = np.rint(lag / max(float(np.min(np.diff(bins.middle_m))), 1e-6))
     scale = sigma / np.sqrt(bins.weight[:, quantity])
@@ -383,6 +404,7 @@ def _drives(record: DriveRecord, update: SoilUpdate) -> tuple[FloatArray, FloatA
     best = np.array([law.transformed(drive.parameters[name])[0] for name, law in laws.items()])
     nudges = NUDGE * np.diag([law.width for law in laws.values()])[: len(PARAMETERS)]
     samples = update.belief.samples(np.concatenate([best + nudges, best - nudges]))
+    # A hair more than the steps that were made: asked for exactly these, rounding might make one more.
     sample_m = min(float(drive.time_s[1]) * plan.speed_m_s * (1 + 1e-9), LONGEST_SAMPLE_M)
     step = min(drive.time_step_s * (1 + 1e-9), LONGEST_STEP_S)
     count, scene = len(PARAMETERS), (drive.rover, drive.terrain, plan)
@@ -396,10 +418,12 @@ def _drives(record: DriveRecord, update: SoilUpdate) -> tuple[FloatArray, FloatA
 
 
 def _states(drives: Prediction, record: DriveRecord) -> FloatArray:
+    """Simulated states at the times of a record. (members, n, 6)"""
     return states_at(record, drives.time_s, drives.states, drives.rover.wheels)
 
 
 def _change(step: ChangePoint, way: Traverse, places: FloatArray, values: FloatArray) -> SoilChange:
+    """A change point on its way, for people; residuals (n, 6), measured less simulated, stood at `places` (n,) [m]."""
     near = step.tried_m[step.statistic >= step.statistic.max() - WITHIN_95]
     half = 0.5 * float(np.diff(step.tried_m).min()) if len(step.tried_m) > 1 else 0.1
     measured = [k for k in range(values.shape[1]) if np.isfinite(values[:, k]).any()]
@@ -548,7 +572,15 @@ def drive_segments(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Part:
-    """A stretch that may still change: from where to where, its states, what was believed, and what it says."""
+    """A stretch of a drive in which a change is still to be looked for.
+
+    Attributes
+    ----------
+    low_m, high_m : along the way of the rover's origin; infinite at the ends of the way. [m]
+    record : states of times at which the whole rover stood in it.
+    before : what was believed of the soil there.
+    update : what the stretch says of it; None where it has too little data.
+    """
 
     low_m: float
     high_m: float

@@ -54,6 +54,7 @@ from lunarsci.twin.simulation.discrepancy import TURNS, exposed, turn_matrix, wa
 from lunarsci.twin.simulation.ensemble import MOST_BEYOND, Prediction, predict
 
 PARTICLES, FEWEST_PARTICLES = 128, 32
+"""In the population of an update, by default and at least."""
 ROUNDS = 2
 """Of widening errors by what the best soil leaves, and looking for it again."""
 MOST_INFLATION = 5.0
@@ -77,6 +78,7 @@ MOST_OF_A_WHEEL = 0.3
 """What single wheels may be off by throughout, of a slip of 1, of the mean sinkage or side slip, or of the load;
 assumed."""
 LARGE = {name: "normal_force_n" if name.endswith("_n") else name for name in OBSERVED}
+"""The quantity whose size errors of each quantity are held against: forces against the load."""
 LEAST_FLOOR = 0.05
 """Multiple of `MODEL_ERRORS` that is always added, so that a force of 0 measured to 3 % has an error; assumed."""
 FOLLOWED = 2.0**0.5
@@ -304,6 +306,7 @@ def _best_soil(
 def _mode_of(
     drive: DriveResiduals, random: np.random.Generator, starts: FloatArray | None = None
 ) -> tuple[DrivePosterior, PosteriorMode]:
+    """The posterior of a drive, and its mode; `starts` as in `find_mode`. Raises ParameterError where it has none."""
     posterior = posterior_of(drive)
     mode = find_mode(posterior, random, starts)
     if mode is None:
@@ -366,6 +369,11 @@ def unexplained_share(drive: DriveResiduals, expected: FloatArray, best: Predict
 def _refusal(
     drive: DriveResiduals, outliers: int, wheels: Mapping[str, float], expected: FloatArray, best: Prediction
 ) -> str:
+    """Why nothing is learned from a drive, one sentence; empty where something is.
+
+    `outliers` is how many values are, `wheels` as `SoilUpdate.wheel_errors`; `expected` (n, 6) and `best` are the
+    states and the drive on the best soil.
+    """
     look = "look for a wrong plan, terrain or clock, or begin anew with another belief"
     if outliers > MOST_BEYOND * (values := int(drive.counted.sum())):
         return f"{outliers} of {values} values are explained by no soil of the belief; {look}"
@@ -399,6 +407,7 @@ def _unexplained(drive: DriveResiduals, expected: FloatArray, best: Prediction) 
 
 
 def _rms(values: FloatArray) -> float:
+    """Root mean square."""
     return float(np.sqrt((values**2).mean()))
 
 

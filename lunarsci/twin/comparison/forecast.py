@@ -343,8 +343,15 @@ class Miss:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _MissParts:
-    """Miss (2,) [m]; covariances of soils, of the place and of spot turns, and matrix of the way (2, 2) [m2]; number of
-    the position."""
+    """What the miss of the last position is made of.
+
+    Attributes
+    ----------
+    miss : of the measured place from the mean of the predicted ones. (2,) [m]
+    soil, place, turns : covariances by the soils, by the error of the position, and by spot turns. (2, 2) [m2]
+    way : covariance for a share along the way of variance 1, see `way_matrix`. (2, 2) [m2]
+    last : number of the position in the record.
+    """
 
     miss: FloatArray
     soil: FloatArray

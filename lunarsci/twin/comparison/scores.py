@@ -279,7 +279,16 @@ class EndCheck:
 
 @dataclass(frozen=True, slots=True)
 class FixCheck:
-    """One position beside the predicted ones: distance from their mean [m], and from it in standard deviations [-]."""
+    """One position beside the predicted ones.
+
+    Attributes
+    ----------
+    time_s : of the position, since the start of the plan. [s]
+    distance_m : commanded by then. [m]
+    error_m : distance from the mean of the predicted places. [m]
+    standard : the same in standard deviations; None where members are too few. [-]
+    inside_90 : whether it is in their 90 % region; None where members are too few for one.
+    """
 
     time_s: float
     distance_m: float

@@ -169,9 +169,13 @@ class Surprise:
 
 @dataclass(frozen=True, slots=True)
 class Bias:
-    """Means over the drive: each quantity against the members; the worst, and the probability of one as bad.
+    """Means over the drive, each quantity against the members.
 
-    That is the smallest by itself times the number of quantities, at most 1 (Bonferroni).
+    Attributes
+    ----------
+    quantities : how each stands among the members, by name.
+    worst : name of the least probable.
+    p : probability of one as bad: its own times the number of quantities, at most 1 (Bonferroni). [-]
     """
 
     quantities: dict[str, Standing]
@@ -181,7 +185,13 @@ class Bias:
 
 @dataclass(frozen=True, slots=True)
 class GroundChange:
-    """Where the ground seems to change: the commanded distance [m], and the probability of such by chance."""
+    """Where the ground seems to change.
+
+    Attributes
+    ----------
+    distance_m : commanded distance. [m]
+    p : probability of such a change by chance. [-]
+    """
 
     distance_m: float
     p: float

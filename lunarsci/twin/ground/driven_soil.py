@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Origin = Literal["option", "default", "terrain", "belief", "priors", "samples", "map"]
+"""Where the soil of drives comes from: one soil that was asked for (`option`) or assumed, as nothing names one
+(`default`); the terrain's file; a belief's file; the laws before any drive (`priors`); a CSV file with a row for each
+member (`samples`); a soil map (`map`)."""
 PRIORS = "priors"
 """Name of what is believed of the soil before any drive."""
 DEFAULT_SOIL = "longji"
@@ -33,14 +36,15 @@ DEFAULT_SOIL = "longji"
 
 @dataclass(frozen=True, slots=True)
 class DrivenSoil:
-    """Where the soil of a terrain comes from.
+    """Where the soil that is driven on comes from, for results and notes.
 
     Attributes
     ----------
     name : of the soil, or the file that has it.
-    of : `option` where it was asked for, `terrain` where the terrain's file carries it, `default` otherwise.
+    of : where it comes from, see `Origin`.
     carried : parameters that the terrain's file has.
-    rest : soil of the parameters that it lacks; empty where it lacks none, or where its own soil is not driven on.
+    rest : name of the soil of the parameters that this file lacks; empty where it lacks none, or where its own soil is
+        not driven on.
     """
 
     name: str
@@ -89,6 +93,7 @@ def soil_record(driven: DrivenSoil, terrain: Terrain, drawn: Iterable[str] = ())
 
 
 def _range(values: Any) -> float | dict[str, float]:
+    """Lowest and highest of some values, or the one that all have; to 12 digits, as tangents and back cost the last."""
     low, high = (float(f"{value:.12g}") for value in (values.min(), values.max()))
     return low if low == high else {"low": low, "high": high}
 
@@ -115,6 +120,7 @@ def read_soil_samples(
 
 
 def _column(file: str, name: str, cells: "pd.Series") -> FloatArray:
+    """Values of a soil parameter, in the unit of its name. Raises DataError for one outside of its range. (rows,)"""
     values = numbers_of(file, name, cells)
     strange = np.flatnonzero(~np.isfinite(values))
     suspects = strange[:1] if strange.size else (np.argmin(values), np.argmax(values))
@@ -125,6 +131,7 @@ def _column(file: str, name: str, cells: "pd.Series") -> FloatArray:
 
 
 def _rows(count: int, members: int | None, seed: int) -> IntArray:
+    """Which of `count` rows of a file the members have, ascending. (members,)"""
     if members is None or members == count:
         return np.arange(count)
     if members > count:
@@ -139,8 +146,10 @@ class GivenSoil:
     Attributes
     ----------
     named : a soil's name, or its TOML file; None where none was given.
-    file, of : the file with soils for the drives, and what it is: a `belief`, a `map` of beliefs, or `samples` in rows.
-    belief, soil_map : what it holds.
+    file : the file with soils for the drives; None where there is none.
+    of : what that file is: a `belief` or the laws of one, a `map` of beliefs, `samples` in rows, or `none`. It becomes
+        the `Origin` of a `DrivenSoil` where such a file is given.
+    belief, soil_map : what the file holds; None where it holds no such thing.
     """
 
     named: str | None = None

@@ -217,10 +217,13 @@ Values = npt.NDArray[np.floating]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Cells:
-    """Along one axis: nodes of one grid, and the first node of a finer one in the cell about each.
+    """Along one axis: nodes of one grid, and those of another one in the cell about each.
 
-    `end` is behind the last of them. The first and the last cell may be covered in part. Of a wider grid it is the
-    node that lies nearest to each.
+    Attributes
+    ----------
+    nodes : numbers of nodes of the one grid. (k,)
+    first : number of the first node of a finer grid in the cell about each, or of the nearest node of a wider one. (k,)
+    end : number behind the last node of the other grid in these cells. The first and last cell may be covered in part.
     """
 
     nodes: IntArray

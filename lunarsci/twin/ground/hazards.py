@@ -37,6 +37,7 @@ STRAY_M = 3.0
 FARTHEST_M = 1.1e7
 """Once round the Moon, of 1737.4 km radius (Archinal et al. 2018, 10.1007/s10569-017-9805-5). [m]"""
 FORBIDDEN = "forbidden"
+"""Stands for a cost where nothing may drive."""
 SAME_CLASS = 1e-6
 # Where a rover file has no [limits]: assumed, cautious for a rocker-bogie.
 FALLBACK_STEP_IN_RADII = 1.0
@@ -148,7 +149,16 @@ def nearest_node(
 
 @dataclass(frozen=True, slots=True)
 class ExclusionZone:
-    """A circle that no part of the rover may enter: name, centre [m] and radius > 0 [m]. Raises ParameterError."""
+    """A circle that no part of the rover may enter.
+
+    Attributes
+    ----------
+    name : what is there.
+    x_m, y_m : its centre. [m]
+    radius_m : its radius, > 0. [m]
+
+    Raises ParameterError.
+    """
 
     name: str
     x_m: float
@@ -160,6 +170,7 @@ class ExclusionZone:
 
 
 Zones = tuple[ExclusionZone, ...]
+"""Circles to keep out of, in the order in which they were given."""
 
 
 def read_keep_outs(source: InputFile, crs: str = "") -> Zones:

@@ -75,10 +75,17 @@ class HeightErrors:
 EXACT = HeightErrors(
     common=np.zeros((1, 1, 0), np.float32), level=np.zeros((1, 1), np.float32), grain=np.zeros((1, 1, 0), np.float32)
 )
+"""None: heights are taken as they are."""
 
 
 class Relief(NamedTuple):
-    """Variance of the difference of two heights a metre apart [m2], and the exponent H: c l^(2 H)."""
+    """Variance c l^(2 H) of the difference of two heights a distance l apart.
+
+    Attributes
+    ----------
+    at_one_m : c, that of heights a metre apart. [m2]
+    hurst : the exponent H. [-]
+    """
 
     at_one_m: float
     hurst: float

@@ -28,7 +28,6 @@ from lunarsci.rovers import MadeFor
 from lunarsci.twin.ground.height_errors import EXACT, GRAIN_NODES, HeightErrors, likely_ground
 from lunarsci.twin.lanes import CLIFF, FINISHED, GROUP, HOLE, LEFT, SANK, STEEPEST_DEG, WHEEL
 
-# Column of `Soil.vector()` that holds each parameter.
 SOIL_COLUMNS = {
     "stiffness_kpa_m_n": 0,
     "sinkage_exponent": 1,
@@ -39,22 +38,30 @@ SOIL_COLUMNS = {
     "external_friction_angle_deg": 6,
     "lateral_modulus_mm": 7,
 }
+"""Column of `Soil.vector()` that holds each parameter."""
 OVERRIDES = SOIL_COLUMNS | {name: len(SOIL_COLUMNS) + k for k, name in enumerate(ROLLING)}
-"""Columns of what a member has for itself: of its soil, and of its wheels."""
-
-
+"""Columns of what a member has for itself: 8 of its soil, then 4 of its wheels."""
 STEEPEST = math.tan(math.radians(STEEPEST_DEG))
+"""Slope of the ground beyond which it is a cliff. [-]"""
 INTERPOLATIONS = ("smooth", "triangles")
+"""See `Terrain.interpolation`."""
 CENTER, GROUND, SOIL = (WHEEL.first[name] for name in ("center", "ground", "soil"))
+"""Rows of a wheel in `Work.wheels`: the number of one lane in row k lies at k * GROUP + lane."""
 LEFT_OF_PRIOR = "_left_of_prior"
+"""Ends the names of layers with how much of a parameter's prior width is left, which a soil map writes."""
 
 
 class Grid(NamedTuple):
     """What the compiled formulas read of a terrain, at each node.
 
-    `height` (ny, nx); `soil` (ny, nx, 8), or (1, 1, 8) where it is the same everywhere; `triangles` between nodes, or
-    a smooth surface. `common`, `level` and `grain` are those of `HeightErrors`, empty where heights are exact; `draws`
-    (rovers, modes + 2) is what each rover's ground is drawn by.
+    Attributes
+    ----------
+    x0, y0, spacing : position of node [0, 0], and distance of the nodes. [m]
+    height : NaN where unknown; row is y, column is x. (ny, nx) [m]
+    soil : `Soil.vector()` at each node, or one for all. (ny, nx, 8) or (1, 1, 8)
+    triangles : True for triangles between nodes, False for a smooth surface.
+    common, level, grain : those of `HeightErrors`, empty where heights are exact.
+    draws : what each rover's ground is drawn by, `HeightErrors.draws`. (rovers, modes + 2)
     """
 
     x0: float
@@ -79,7 +86,8 @@ class Terrain:
     x0_m, y0_m : position of node [0, 0]. [m]
     spacing_m : distance of the nodes in x and y, > 0. [m]
     height_m : height, NaN where unknown; row is y, column is x. (ny, nx) [m]
-    soil : `Soil.vector()` in Pa and m, at every node or one for all. (ny, nx, 8) or (1, 1, 8)
+    soil : `Soil.vector()`, in Pa and m, angles as their tangents, at every node or one for all. (ny, nx, 8) or
+        (1, 1, 8)
     synthetic : True for a made-up terrain.
     interpolation : the ground between nodes. `smooth` has a continuous gradient: cubic convolution (Keys 1981,
         10.1109/TASSP.1981.1163711), whose gradient at a node is the central difference of its neighbours; beyond the
@@ -222,9 +230,10 @@ class Terrain:
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def cubic_weights(a: float, first: bool, last: bool) -> Any:
-    """Weights of the four nodes about a cell for value and slope at the share `a` of its width.
+    """Weights (4,) of the nodes about a cell for the value, and (4,) for the slope, at the share `a` of its width.
 
-    In the first and last cell the node that is not there goes on in line with the two next to it.
+    Nodes count from the one before the cell; the slope is per cell. In the `first` and `last` cell of a row the node
+    that is not there goes on in line with the two next to it.
     """
     q = a * a
     c = q * a
@@ -239,7 +248,7 @@ def cubic_weights(a: float, first: bool, last: bool) -> Any:
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def height_of(grid: Any, lane: Any, i: int, j: int) -> Any:
-    """Height of a node on the ground of one rover, or on the likely one where `lane` is None. [m]"""
+    """Height of node [i, j] of a `Grid` on the ground of rover `lane`, or on the likely one where that is None. [m]"""
     height = grid.height[i, j]
     if lane is None:
         return height
@@ -255,7 +264,7 @@ def height_of(grid: Any, lane: Any, i: int, j: int) -> Any:
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def read_heights(grid: Any, row: int, column: int, result: Any) -> None:
-    """Heights of the ground of the first rover from a node on, into `result`. [m]"""
+    """Heights of the ground of the first rover, from node [row, column] of a `Grid` on, into `result` (k, m). [m]"""
     for i in range(result.shape[0]):
         for j in range(result.shape[1]):
             result[i, j] = height_of(grid, 0, row + i, column + j)
@@ -263,9 +272,10 @@ def read_heights(grid: Any, row: int, column: int, result: Any) -> None:
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def surface_in(grid: Any, i: int, j: int, a: float, b: float, lane: Any = None) -> Any:
-    """Height and gradient at shares a (in x) and b (in y) of the cell between nodes [i, j] and [i + 1, j + 1].
+    """Height [m] and gradient along x and y [-] at shares a (in x) and b (in y) of a cell of a `Grid`.
 
-    `lane` is the rover whose ground it is, where each has its own; None compiles to a formula that knows no errors.
+    The cell lies between nodes [i, j] and [i + 1, j + 1]. `lane` is the rover whose ground it is, where each has its
+    own; None compiles to a formula that knows no errors.
     """
     spacing = grid.spacing
     if grid.triangles:
@@ -293,7 +303,7 @@ def surface_in(grid: Any, i: int, j: int, a: float, b: float, lane: Any = None) 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def read_surface(grid: Any, x: Any, y: Any, result: Any) -> None:
-    """Height and gradient below points (n,), NaN outside the map. (n, 3)"""
+    """Height [m] and gradient [-] of a `Grid` below points x, y (n,) [m], into `result` (n, 3); NaN outside the map."""
     ny, nx = grid.height.shape
     for k in range(len(x)):
         column, row = (x[k] - grid.x0) / grid.spacing, (y[k] - grid.y0) / grid.spacing
@@ -306,7 +316,11 @@ def read_surface(grid: Any, x: Any, y: Any, result: Any) -> None:
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def lay_soil(grid: Any, override: Any, wheel: Any) -> None:
-    """Soil of every lane: that of `override` (GROUP, 12) where it is not NaN, else the terrain's first."""
+    """Soil below a wheel of every lane: that of `override` where it is not NaN, else that of the `Grid`'s first node.
+
+    `override` (GROUP, 12) has a row of `soil_overrides` for each lane. `wheel` is one of `Work.wheels`, rows by GROUP
+    lanes as one array, (WHEEL.rows * GROUP,); its rows `soil` are filled.
+    """
     for lane in range(GROUP):
         for k in range(8):
             value = override[lane, k]
@@ -315,10 +329,12 @@ def lay_soil(grid: Any, override: Any, wheel: Any) -> None:
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def read_ground(grid: Any, override: Any, wheel: Any, code: Any) -> None:
-    """Height, gradient and soil below a wheel of a group; `code` takes who left the map, met a hole or a cliff.
+    """Height, gradient and soil of a `Grid` below a wheel, of every lane; who left the map, met a hole or a cliff.
 
-    `override` (GROUP, 12) replaces the soil where it is not NaN. Where the soil is the same everywhere it stays as
-    `lay_soil` left it. Lanes with another outcome keep what they had.
+    `override` and `wheel` as in `lay_soil`; the rows `ground` and `soil` below the rows `center` are filled. `code` is
+    `Work.code` (GROUP,): a number of `OUTCOMES` for each lane, of which FINISHED also stands for one that still drives.
+    Lanes with an outcome other than this or SANK keep what they had. Soil that is the same everywhere stays as
+    `lay_soil` left it.
     """
     ny, nx = grid.height.shape
     uniform, drawn = grid.soil.shape[0] == 1, grid.grain.shape[2] > 0
@@ -402,7 +418,8 @@ def _column(name: str) -> int:
 
 
 def _in_si(name: str, values: FloatArray) -> FloatArray:
-    # The allowed ranges are intervals, so two checked extremes vouch for every node.
+    """Values of a soil parameter as `Soil.vector()` has them. Raises ParameterError for one outside of its range."""
+    # The allowed ranges are intervals: where both extremes are inside, so are all nodes.
     anything = Soil(**dict.fromkeys(SOIL_COLUMNS, 1.0))
     for extreme in (values.min(), values.max()):
         if not math.isfinite(extreme):
@@ -417,11 +434,12 @@ def _to_si(name: str, values: FloatArray) -> FloatArray:
 
 
 def from_si(name: str, values: FloatArray) -> FloatArray:
-    """A soil parameter in the unit of its name."""
+    """A soil parameter of `Soil.vector()` in the unit of its name."""
     return np.degrees(np.arctan(values)) if name.endswith("_deg") else values / _factor(name)
 
 
 def _factor(name: str) -> float:
+    """SI units in the unit of a parameter's name, but that of an angle."""
     return 1e3 if "_kpa" in name else 1e-3 if name.endswith("_mm") else 1.0
 
 
@@ -437,7 +455,8 @@ class TerrainFile:
     crs_of_file : the coordinate system that the file has, which is not that of the terrain where it was reprojected.
     read_as : how the file was read, where there was a choice.
     beside : files beside it that were read.
-    errors : what an elevation model says of its errors, by layer; empty for other terrains. (ny, nx)
+    errors : what an elevation model says of its errors, by layer; empty for other terrains. (ny, nx), or () for one
+        number
     """
 
     terrain: Terrain
@@ -505,6 +524,7 @@ def _read_terrain(grid: HeightGrid, soil: Soil) -> TerrainFile:
 
 
 def _checked(name: str, values: npt.NDArray[Any], grid: HeightGrid) -> FloatArray:
+    """A layer of errors: (ny, nx), or () where one number stands for all nodes. Raises DataError."""
     layer = np.asarray(values, dtype=float)
     if layer.shape not in (grid.height_m.shape, ()):
         raise DataError(f"{name} has shape {layer.shape}; give one number, or {grid.height_m.shape}")

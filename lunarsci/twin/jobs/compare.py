@@ -56,7 +56,7 @@ class ComparedDrive(Result):
 
     Attributes
     ----------
-    matched, found : predicted values at the times of the measured ones, and what follows from them.
+    matched, comparison : predicted values at the times of the measured ones, and what follows from them.
     states : name of the file of states.
     rover : how to ask for the rover that was predicted.
     pace : how fast the wheels turned beside the plan; None where the states do not say.

@@ -56,10 +56,20 @@ OF_A_BELIEF = 64
 class DriveInputs:
     """What drives where: the parsed inputs of a drive and their hashes.
 
-    `driven` says where the soil of the terrain comes from, `given` which soils were asked for, `options` what was taken
-    for options that were left out, and `check` what was found of files that were made for another rover or ground.
-    `rough` says that the terrain has roughness that its file does not show, `questions` are numbers that no Moon, soil
-    or rover has as they are written.
+    Attributes
+    ----------
+    rover, description : the rover, and its file as it was read.
+    terrain : with the soil that is driven on where drives have none of their own.
+    plan : what is driven.
+    inputs, tables : SHA-256 of the files that were read, and of the project's own tables, by name.
+    driven : where the soil of the terrain comes from.
+    check : what was noted of files that were made for another rover or ground.
+    given : which soils were asked for.
+    options : what was taken for options that were left out, by name.
+    ruts : whether wheels meet the ruts that others, and they themselves, left.
+    before : a plan that was driven on the same ground before; None without one.
+    rough : whether the terrain has roughness that its file does not show.
+    questions : numbers that no Moon, soil or rover has as they are written.
     """
 
     rover: Rover

@@ -265,7 +265,14 @@ def planned_mission(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Ways:
-    """Plans from a pose to a place, within the limits of the rover."""
+    """Plans from a pose to a place, within the limits of the rover; a `Way` of a mission.
+
+    Attributes
+    ----------
+    local : the site with its local terrains.
+    asked : the request.
+    mission_speed_m_s : speed of the mission's plans; None takes that of the request. [m/s]
+    """
 
     local: LocalGround
     asked: PlanRequest

@@ -84,7 +84,23 @@ def costs_of(request: GroundRequest) -> dict[float, float]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SurveyedSite:
-    """A terrain, and the rover in mind: what is looked at, with the hashes of the inputs."""
+    """A terrain, and the rover in mind.
+
+    Attributes
+    ----------
+    terrain : heights as the wheels are taken to meet them, with the soil that is driven on.
+    rover, description, mobility : the rover, its file as it was read, and the limits of where it may drive.
+    inputs, tables : SHA-256 of the files that were read, and of the project's own tables, by name.
+    made : how the ground was made, where it is synthetic; else empty.
+    driven : where the soil comes from.
+    check : what was noted of files that were made for another rover.
+    file : the terrain as its file has it.
+    origin : how to ask for the terrain.
+    keep_outs : circles to keep out of.
+    layers : factors on the cost of a metre, by place.
+    sun_deg : azimuth and elevation of the Sun; None without light. [deg]
+    shadow_cost : factor on the cost of a metre in shadow, infinite where it is forbidden; None where it does not count.
+    """
 
     terrain: Terrain
     rover: Rover

@@ -34,9 +34,13 @@ SAMPLER = "Christen & Fox (2005), J. Comput. Graph. Stat. 14, 795"
 class Before:
     """What was believed before a drive.
 
-    `belief` is of the whole drive, forgotten as far as asked; `soil_map` the map, None where the soil is not kept by
-    place; `file` what they come from, None for the priors; `doubt` why it is doubtful, empty where it is not;
-    `believed` whether it is a belief that was not all forgotten.
+    Attributes
+    ----------
+    belief : of the whole drive, forgotten as far as asked.
+    soil_map : the map; None where the soil is not kept by place.
+    file : what they come from; None for the priors.
+    doubt : why it is doubtful; empty where it is not.
+    believed : whether it is a belief that was not all forgotten.
     """
 
     belief: SoilBelief
@@ -268,8 +272,14 @@ def update(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _DrivenLine:
-    """What a line of history says of a drive, whatever was found: its inputs, its states, why they are doubtful, and
-    what was believed before."""
+    """What a line of history says of a drive, whatever it taught.
+
+    Attributes
+    ----------
+    inputs, states : what was driven, and the file of its states.
+    doubts : why these are doubtful, one sentence each; empty ones count for nothing.
+    before : what was believed before it.
+    """
 
     inputs: DriveInputs
     states: InputFile

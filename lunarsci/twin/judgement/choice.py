@@ -30,6 +30,7 @@ from lunarsci.twin.simulation.members import Grounds
 SHARED = ("rover", "terrain", "plan", "grounds", "before", "power")
 """Fields of a prediction that need not come back from where it was computed."""
 UNFINISHED = "unfinished"
+"""Stands for a limit's quantity where drives did not end."""
 ROUNDS = (0.25, 0.5, 1.0)
 """Shares of the soils after which hopeless candidates stop: as soils double, half of the candidates go on (successive
 halving: Jamieson & Talwalkar 2016, Proc. Mach. Learn. Res. 51, 240)."""
@@ -43,7 +44,14 @@ CHECKED = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _SomeGrounds:
-    """Some members of other grounds."""
+    """Some members of other `Grounds`.
+
+    Attributes
+    ----------
+    whole : the grounds of all members.
+    first : number in these of the first member here.
+    parameters : as in `Grounds`, of the members here. (members,)
+    """
 
     whole: Grounds
     first: int
@@ -120,7 +128,14 @@ class Conditions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CandidateDrives:
-    """Drives of some members along each of some plans: what `run_blocks` shares out, a row for each plan."""
+    """Drives of some members along each of some plans: what `run_blocks` shares out, a row for each plan.
+
+    Attributes
+    ----------
+    conditions : what the drives meet.
+    plans : what is driven; a block is of their numbers, from 0.
+    members : numbers of the members of `conditions` that drive.
+    """
 
     conditions: Conditions
     plans: Sequence[Plan]
@@ -182,6 +197,7 @@ def joined(parts: Sequence[Prediction]) -> Prediction:
 
 
 def _joined_discrepancy(parts: Sequence[Prediction]) -> DrawnDiscrepancy | None:
+    """Draws of successive members as one; None where the predictions have none."""
     drawn = [part.discrepancy for part in parts if part.discrepancy is not None]
     if not drawn:
         return None
@@ -284,7 +300,11 @@ def _use(prediction: Prediction, limit: Limit, values: FloatArray) -> FloatArray
 def _place(
     prediction: Prediction, limit: Limit, use: FloatArray, values: FloatArray, failed: int
 ) -> tuple[tuple[int, float], Weakest]:
-    """How bad it is, for comparison, and the sample at which the use that 95 % of the drives keep is largest."""
+    """How bad it is, for comparison, and the sample at which the use that 95 % of the drives keep is largest.
+
+    `use` is of `_use`, `values` the limited quantity (members, samples), `failed` how many drives break the limit. What
+    is compared is that number, then the use.
+    """
     order = np.argsort(use, axis=0)
     rank = math.ceil(CONFIDENCE * len(use)) - 1
     keeps = np.take_along_axis(use, order[rank : rank + 1], axis=0)[0]
@@ -313,6 +333,7 @@ def _unfinished(prediction: Prediction) -> tuple[tuple[int, float], Weakest]:
 
 
 Preference: TypeAlias = Literal["energy", "length", "time", "risk"]
+"""What decides among drives that keep the accepted risk: the least of it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -478,7 +499,14 @@ def choose(
 
 @dataclass(slots=True)
 class _Race:
-    """Drives of candidates in rounds, and how many of them were done."""
+    """Drives of candidates in rounds, as `choose` has them.
+
+    Attributes
+    ----------
+    conditions, risk, prefer, progress : as in `choose`.
+    members : soils by which plans are chosen, the first ones of `conditions`; the others are fresh.
+    total, done : drives at most, and drives so far, for `progress`.
+    """
 
     conditions: Conditions
     risk: AcceptedRisk
@@ -523,16 +551,18 @@ class _Race:
         return [done.get(one.number, one) for one in candidates]
 
     def _on_fresh(self, batch: list[DriveCandidate], fresh: range) -> list[DriveCandidate]:
+        """Candidates with what they promise on fresh soils, members of that number; on those they had without any."""
         if not fresh:
             return [replace(one, promise=one.chance) for one in batch]
         driven = self._drive([one.plan for one in batch], fresh)
-        held = [verdicts(prediction) for prediction in driven]
+        judged = [verdicts(prediction) for prediction in driven]
         return [
             replace(one, promise=some.chance, weakest=some.weakest, broken=some.broken)
-            for one, some in zip(batch, held, strict=True)
+            for one, some in zip(batch, judged, strict=True)
         ]
 
     def _drive(self, plans: list[Plan], members: range) -> list[Prediction]:
+        """Drives of some members along plans, counted."""
         begun = self.done
 
         def on(done: int, _: int) -> None:
@@ -543,14 +573,14 @@ class _Race:
         return drive_candidates(self.conditions, plans, members, on)
 
     def _candidate(self, number: int, prediction: Prediction) -> DriveCandidate:
-        held: Verdicts = verdicts(prediction)
+        judged: Verdicts = verdicts(prediction)
         return DriveCandidate(
             number=number + 1,
             plan=prediction.plan,
             prediction=prediction,
-            chance=held.chance,
-            weakest=held.weakest,
-            broken=held.broken,
+            chance=judged.chance,
+            weakest=judged.weakest,
+            broken=judged.broken,
             energy_j=expected_energy_j(prediction),
             duration_s=make_schedule(prediction.plan, prediction.rover).duration_s,
         )

@@ -27,12 +27,16 @@ from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.ensemble import Prediction
 
 SPEED = "plan.speed_m_s"
+"""The one number of a plan that can be varied."""
 AXES = ("x", "y", "z")
+"""Ends of the names of a vector's numbers."""
 MOST_DESIGNS = 2000
+"""Each is a whole ensemble of drives; assumed."""
 LUGS = (
     "the wheel-soil formulas know lugs by wheel.grouser_height_m and wheel.grouser_shear_coefficient alone, not by "
     "their number or spacing"
 )
+"""Why numbers of lugs are refused."""
 UNUSED = {
     "limits": "it bounds where `twin plan` looks for a way; no drive of a given plan changes with it",
     "drive": f"it bounds what plans may ask for; vary {SPEED}",
@@ -46,8 +50,13 @@ CURVE = tuple(np.linspace(0.0, 0.6, 13).tolist())
 
 @dataclass(frozen=True, slots=True)
 class Variation:
-    """Range of one number of the design: `TABLE.KEY` of the rover file, with `.x`, `.y` or `.z` of a vector, or
-    `plan.speed_m_s`; and how many values a grid has of it.
+    """Range of one number of a design.
+
+    Attributes
+    ----------
+    name : `TABLE.KEY` of the rover file, with `.x`, `.y` or `.z` of a vector, or `plan.speed_m_s`.
+    low, high : its ends, in the unit that the name ends in.
+    count : how many values a grid has of it.
 
     Raises ParameterError for a range that is none.
     """
@@ -156,6 +165,7 @@ def check_design(rover: Rover, assumed: Sequence[str] = ()) -> None:
 
     `assumed` are the numbers of the rover file that are guesses: a width of the body that is one refuses no wheel.
     """
+    # Left and right wheels take turns; both sides are alike.
     wheel, places = rover.wheel, rover.wheel_positions_m[::2]
     outer = wheel.radius_m + wheel.grouser_height_m
     body = rover.body
@@ -175,24 +185,32 @@ def check_design(rover: Rover, assumed: Sequence[str] = ()) -> None:
 
 
 Drive = Callable[[int, dict[str, Any]], Prediction]
-"""Drives plan number k of the mission with some of its inputs replaced."""
+"""Drives plan number k of the mission, from 0, with these fields of its `DriveInputs` replaced: `rover` and `plan`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MissionOutcome:
-    """What a design does on all plans of a mission; drives are pairs of plan and member.
+    """What a design does on all plans of a mission.
 
     Attributes
     ----------
-    drives : members of the ensemble, each of which drives every plan on its soil.
-    kept_share : members that keep every plan, as `lunarsci.twin.judgement.keeping.keeps_limits` has it. [-]
-    slip_ratio, sinkage_m, motor_torque_nm : p95 over the members of the worst of all plans.
-    energy_p50_j, energy_p95_j : work of the motors at the wheels on all plans; None where no member reaches all ends.
-    electrical_p50_wh : what motors and electronics draw on all plans; None also without [motors] and [power].
+    drives : number of members of the ensemble; each drives every plan on its soil, and that counts as one drive.
+    kept_share : share of the members that keep every plan, as `lunarsci.twin.judgement.keeping.keeps_limits` has it.
+        [-]
+    slip_ratio, sinkage_m, motor_torque_nm : p95 over the members of each one's largest value, of any wheel on any plan.
+        [-, m, N m]
+    energy_p50_j : work of the motors at the wheels on all plans together, median over the members that reach all ends;
+        None where no member does. [J]
+    energy_p95_j : work of the motors on all plans together that 95 % of these members do not exceed. [J]
+    electrical_p50_wh : what motors and electronics draw on all plans together, median over the members that reach all
+        ends; None where no member does, or without [motors] and [power]. [W h]
     least_charge : of the battery, what 95 % of the members keep on all plans, one after the other; below 0 what is
         drawn beyond an empty one; None where neither charge nor Sun is given. [-]
-    duration_s : of all plans.
-    bias_m, scatter_m : of the ends, the largest of any plan, as `Endpoint` has them; None where none is reached.
+    duration_s : of all plans together. [s]
+    bias_m : distance of the mean end from the planned destination, of several plans the largest; None where no member
+        reaches the end of a plan. [m]
+    scatter_m : radius of the smallest circle that holds every end, of several plans the largest; None where no member
+        reaches the end of a plan. [m]
     traction : of a wheel under its share of the weight on level ground, on the median soil; None where the soil does
         not carry it.
     reasons : why plans are no-go, one sentence each.
@@ -216,7 +234,14 @@ class MissionOutcome:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Design:
-    """A rover with some numbers changed: the values, and what came of it, or why it is impossible."""
+    """A rover with some numbers changed.
+
+    Attributes
+    ----------
+    values : name of each varied number, as in `Variation`, to its value, in the unit of the rover file.
+    outcome : what came of it; None where it is impossible.
+    impossible : why it cannot be built or drive, one sentence; empty where it can.
+    """
 
     values: dict[str, float]
     outcome: MissionOutcome | None = None
@@ -229,12 +254,12 @@ class Design:
             "kept_share", "slip_ratio", "sinkage_m", "motor_torque_nm", "energy_p50_j", "energy_p95_j",
             "electrical_p50_wh", "least_charge", "duration_s", "bias_m", "scatter_m",
         )  # fmt: skip
-        figures = ("pull_at_20_n", "pull_per_weight_at_20", "efficiency_at_20", "slope_at_20_deg")
+        of_traction = ("pull_at_20_n", "pull_per_weight_at_20", "efficiency_at_20", "slope_at_20_deg")
         pull = None if result is None else result.traction
         return {
             **self.values,
             **{name: None if result is None else getattr(result, name) for name in names},
-            **{name: None if pull is None else getattr(pull, name) for name in figures},
+            **{name: None if pull is None else getattr(pull, name) for name in of_traction},
             "reasons": "" if result is None else "; ".join(result.reasons),
             "impossible": self.impossible,
         }
@@ -259,7 +284,7 @@ def try_design(inputs: Sequence[Any], values: dict[str, float], drive: Drive) ->
 
 
 def mission_outcome(rover: Rover, predictions: Sequence[Prediction]) -> MissionOutcome:
-    """Put the plans of a mission together, member by member, which have the same soil on each."""
+    """Put the predictions of all plans of a mission together: member m has the same soil in each of them."""
     predictions = with_battery(predictions)
     verdicts = [judge(prediction) for prediction in predictions]
     keeps = np.all([keeps_limits(prediction) for prediction in predictions], axis=0)
@@ -288,7 +313,8 @@ def mission_outcome(rover: Rover, predictions: Sequence[Prediction]) -> MissionO
 
 
 def with_battery(predictions: Sequence[Prediction]) -> list[Prediction]:
-    """The same where the battery counts, each plan with what the one before has left of it in each member."""
+    """The predictions of plans that follow each other; where the battery counts, each begins with the charge that the
+    one before left to the member."""
     result: list[Prediction] = []
     for one in predictions:
         if result and one.power is not None:
@@ -312,6 +338,7 @@ def _electrical_wh(rover: Rover, predictions: Sequence[Prediction], done: BoolAr
 def median_soil(prediction: Prediction) -> Soil:
     """The soil of the middle: medians over the nodes of the terrain, and over the members of what these have."""
     middle = np.median(prediction.terrain.soil.reshape(-1, 8), axis=0)
+    # Not by `from_si`, which divides where this multiplies: last digits would change.
     values = dict(zip(SOIL_COLUMNS, middle.tolist(), strict=True))
     values["stiffness_kpa_m_n"] *= 1e-3
     for name in ("shear_modulus_mm", "lateral_modulus_mm"):
@@ -342,7 +369,7 @@ def pareto_front(designs: Sequence[Design]) -> list[int]:
         if (result := design.outcome) is not None and result.energy_p50_j is not None
     ]
     front: list[int] = []
-    best = math.inf
+    best = math.inf  # minus the largest kept share so far
     for _, lost, number in sorted(given):
         if lost < best:
             front.append(number)

@@ -22,6 +22,9 @@ SHORTEST_STEP_S = 0.01
 """Below, the error is a tenth of a millimetre, and half the step would take long."""
 MOST_PAIRS = 64
 """Drives that are driven again, evenly from all; of so many pairs a share is known within a fifth of itself."""
+ABOVE_ROUNDING = 1 + 1e-9
+"""Factor of a step of a drive that is asked for again. `predict` shortens steps to fit the drive; asked for exactly
+these, rounding might have it cut the drive into one step more. Assumed: far above rounding, far below any step."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +68,7 @@ def error_ellipse(points_m: FloatArray) -> ErrorEllipse | None:
     minor, major = np.sqrt(np.maximum(values, 0.0))
     across, along = offsets @ vectors[:, 0], offsets @ vectors[:, 1]
     factor = scale_of(0.95)
-    # Rounding must not put points on a line outside of it.
+    # Points on a line have no minor axis, and rounding must not put them outside of the major one.
     inside = np.abs(along) <= factor * major * (1 + 1e-9)
     if minor > 1e-9 * major:
         inside = (along / major) ** 2 + (across / minor) ** 2 <= factor**2
@@ -82,6 +85,7 @@ def error_ellipse(points_m: FloatArray) -> ErrorEllipse | None:
 
 
 Matrix = tuple[tuple[float, float], tuple[float, float]]
+"""Covariance of x and y: ((xx, xy), (xy, yy)). [m2]"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,8 +101,9 @@ class Endpoint:
     scatter_radius_m : smallest circle, wherever its centre, that holds every end. [m]
     covariance_m2 : ((xx, xy), (xy, yy)) of the ends; zeros for a single member. [m2]
     ellipse : error ellipse about the mean of the ends; None for a single member.
-    soil_covariance_m2, physics_covariance_m2 : the parts of it that the soils leave, and that the twin's physics is off
-        by, the latter by its law; None where no discrepancy was asked. [m2]
+    soil_covariance_m2 : the part of `covariance_m2` that is of the soils; None where no discrepancy was asked for. [m2]
+    physics_covariance_m2 : the part of `covariance_m2` that is of errors of the twin's physics, by their law; None
+        where no discrepancy was asked for. [m2]
     """
 
     planned_x_m: float
@@ -115,7 +120,7 @@ class Endpoint:
 
     @property
     def physics_share(self) -> float | None:
-        """Of the variance of the ends, by the two parts; None where no discrepancy was asked. [-]"""
+        """Share of the physics in the variance of the ends, by the two parts; None where there are none. [-]"""
         if self.soil_covariance_m2 is None or self.physics_covariance_m2 is None:
             return None
         soil, physics = (part[0][0] + part[1][1] for part in (self.soil_covariance_m2, self.physics_covariance_m2))
@@ -139,6 +144,7 @@ def covering_circle(points_m: FloatArray) -> tuple[float, float, float]:
 
 
 def _hull(points: FloatArray) -> FloatArray:
+    """Corners of the convex hull of points (n, 2), or all that differ where three or less do. (k, 2)"""
     distinct = np.unique(points, axis=0)
     try:
         return np.asarray(distinct[ConvexHull(distinct).vertices]) if len(distinct) > 3 else distinct
@@ -148,6 +154,7 @@ def _hull(points: FloatArray) -> FloatArray:
 
 
 def _circumcenter(a: FloatArray, b: FloatArray, c: FloatArray | None = None) -> tuple[float, float]:
+    """Centre of the smallest circle through two points, or of that through three; infinite for three on a line."""
     if c is None:
         return float(a[0] + b[0]) / 2.0, float(a[1] + b[1]) / 2.0
     p, q = b - a, c - a
@@ -181,7 +188,7 @@ def endpoint_spread(prediction: Prediction) -> Endpoint:
 
 
 def _parts(prediction: Prediction) -> tuple[Matrix | None, Matrix | None]:
-    """What soils and physics each give to the covariance of the ends."""
+    """What soils and physics each give to the covariance of the ends; None, None without a discrepancy."""
     if prediction.discrepancy is None:
         return None, None
     driven = prediction.paths[prediction.finished]
@@ -194,6 +201,7 @@ def _parts(prediction: Prediction) -> tuple[Matrix | None, Matrix | None]:
 
 
 def _spread(ends: FloatArray) -> Matrix:
+    """Covariance of ends (n, 2), zeros for a single one."""
     return _matrix(np.cov(ends.T) if len(ends) > 1 else np.zeros((2, 2)))
 
 
@@ -253,18 +261,19 @@ def step_error_m(prediction: Prediction) -> float | None:
     fixes = prediction.plan.fixes and Fixes(0.0, 0.0)
     plan = replace(prediction.plan, fixes=fixes)
     steps = (prediction.time_step_s, prediction.time_step_s / 2) if fixes else (prediction.time_step_s / 2,)
-    ground = prediction.grounds and prediction.grounds.only(member)
+    # A member has its soil from `grounds`, a soil by place, or from `parameters`; `draws` are of its heights.
+    grounds = prediction.grounds and prediction.grounds.only(member)
     sample = {name: values[member : member + 1] for name, values in prediction.parameters.items()}
     runs = [
         predict(
             prediction.rover,
             prediction.terrain,
             plan,
-            samples=(sample or None) if ground is None else None,
-            grounds=ground,
+            samples=(sample or None) if grounds is None else None,
+            grounds=grounds,
             sweep=None if prediction.parameters else (),
-            time_step_s=step * (1 + 1e-9),
-            sample_m=float(prediction.time_s[1]) * plan.speed_m_s * (1 + 1e-9),
+            time_step_s=step * ABOVE_ROUNDING,
+            sample_m=float(prediction.time_s[1]) * plan.speed_m_s * ABOVE_ROUNDING,
             ruts=prediction.ruts,
             before=prediction.before,
             draws=None if prediction.draws is None else prediction.draws[member : member + 1],
@@ -281,12 +290,12 @@ def step_error_m(prediction: Prediction) -> float | None:
 class TerrainShares:
     """How much of the variance over the drives is of the terrain, by pairs of drives on the same soil.
 
-    One drive of a pair is on a drawn ground, the other on the likely one; with D their difference and S the second,
-    the share is var D / (var D + var S).
+    One drive of a pair is on a drawn ground, the other on the likely one. With S a value of the second, and D that of
+    the first less S, the share is var D / (var D + var S).
 
     Attributes
     ----------
-    pairs : how many.
+    pairs : how many of them ended, both drives of each.
     end_m : root mean square distance of the ends of a pair. [m]
     end, slip_ratio, tilt_deg, sinkage_m : shares, of the end and of the worst value of each drive; None where nothing
         varies. [-]
@@ -301,17 +310,24 @@ class TerrainShares:
 
 
 def likely_drives(prediction: Prediction) -> Prediction | None:
-    """Some of the drives again, at most 64, on ground as it is likely to be; None where heights are exact."""
+    """Some of the drives again, on ground as it is likely to be; None where heights are exact.
+
+    At most `MOST_PAIRS`, but all where each member has its soil from `grounds`.
+    """
     return None if prediction.draws is None else _again(prediction, _chosen(prediction))
 
 
 def _chosen(prediction: Prediction) -> IntArray:
+    """Numbers of the members that are driven again, ascending. (k,)"""
     count = prediction.members if prediction.grounds is not None else min(MOST_PAIRS, prediction.members)
     return np.unique(np.linspace(0, prediction.members - 1, count).astype(int))
 
 
 def terrain_shares(prediction: Prediction, plain: Prediction | None) -> TerrainShares | None:
-    """By pairs with `likely_drives`; None without them, or where fewer than two pairs finished."""
+    """By pairs of a prediction with `plain`, its `likely_drives`; None without them, or if fewer than two pairs ended.
+
+    `plain` has a drive for each member chosen, in their order, or a single one, which then is the other of every pair.
+    """
     if plain is None:
         return None
     chosen = _chosen(prediction)
@@ -350,8 +366,8 @@ def _again(prediction: Prediction, chosen: IntArray) -> Prediction:
         prediction.rover,
         dataclasses.replace(prediction.terrain, errors=None),
         prediction.plan,
-        time_step_s=min(prediction.time_step_s * (1 + 1e-9), LONGEST_STEP_S),
-        sample_m=min(sample_m * (1 + 1e-9), LONGEST_SAMPLE_M),
+        time_step_s=min(prediction.time_step_s * ABOVE_ROUNDING, LONGEST_STEP_S),
+        sample_m=min(sample_m * ABOVE_ROUNDING, LONGEST_SAMPLE_M),
         seed=prediction.seed,
         ruts=prediction.ruts,
         before=prediction.before,
@@ -360,6 +376,6 @@ def _again(prediction: Prediction, chosen: IntArray) -> Prediction:
 
 
 def _share(drawn: FloatArray, likely: FloatArray) -> float | None:
-    """Of the variance of values (n, k) that their ground makes."""
+    """Share of the ground in the variance of values (n, k) of n pairs; None where nothing varies. [-]"""
     of_ground, of_soil = (float(part.var(axis=0).sum()) for part in (drawn - likely, likely))
     return of_ground / (of_ground + of_soil) if of_ground + of_soil > 0 else None

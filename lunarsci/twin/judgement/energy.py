@@ -56,6 +56,7 @@ def wheel_turns_rad(prediction: Prediction) -> FloatArray:
     schedule = make_schedule(prediction.plan, rover)
 
     def turned(legs: FloatArray | None) -> FloatArray:
+        """On legs as members steer them (members, runs, 3), or as planned. (members or 1, samples - 1, wheels) [rad]"""
         speed = np.abs(all_commands(rover, schedule, steps, legs).speed_m_s)
         angle = speed * np.diff(steps)[:, None] / rover.wheel.shearing_radius_m
         return np.asarray(angle.reshape(len(speed), len(times) - 1, parts, -1).sum(axis=2))
@@ -85,7 +86,7 @@ def energy_use(prediction: Prediction) -> EnergyUse:
 
 
 def energy_record(prediction: Prediction) -> dict[str, Any] | None:
-    """What the motors do in the drives that reach the end, for JSON; None where none does. [J, s]
+    """Work of the motors in the drives that reach the end, for JSON; None where none does. [J, s]
 
     `p95_j` is the smallest value that at least 95 % of the drives do not exceed.
     """
@@ -197,6 +198,7 @@ def stood(prediction: Prediction, charge: FloatArray, seconds: float, sample: in
 
 
 def _parts(rover: Rover) -> tuple[Motors, PowerSupply]:
+    """Motors and power supply. Raises ParameterError for a rover without them."""
     if rover.motors is None or rover.power is None:
         raise ParameterError(
             f"{rover.name} has no [motors] and [power]; add both tables to the rover file as in yutu2's"
@@ -207,7 +209,7 @@ def _parts(rover: Rover) -> tuple[Motors, PowerSupply]:
 def _panels(
     prediction: Prediction, power: PowerSupply, sun: SunDirection | None
 ) -> tuple[BoolArray | None, FloatArray]:
-    """Samples in sunlight, and power of the panels at each. [W]"""
+    """Samples in sunlight, None without a Sun, and power of the panels at each. (members, samples) both [W]"""
     if sun is None:
         return None, np.zeros((prediction.members, len(prediction.time_s)))
     roll, pitch, yaw = np.moveaxis(np.radians(prediction.paths[..., 3:]), -1, 0)
@@ -230,7 +232,7 @@ def _panels(
 
 @lru_cache(maxsize=4)
 def _bright(terrain: Terrain, sun: SunDirection) -> BoolArray:
-    """Lit nodes, found once for all drives on a terrain."""
+    """Lit nodes, worked out once for all drives on a terrain. (ny, nx)"""
     return sunlit(terrain, sun.azimuth_deg, sun.elevation_deg)
 
 

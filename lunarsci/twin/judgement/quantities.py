@@ -16,11 +16,16 @@ from lunarsci.twin.rover import Body
 from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, STATE_COLUMNS, Prediction
 
 BLOCK = 4096
+"""Poses that a thread looks at together."""
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def belly_plane(pose: Any, belly: float, x0: float, y0: float, spacing: float) -> Any:
-    """Column, row [nodes] and height [m] of a point of the belly plane: each c + a x + b y, as a, b, c."""
+    """Column, row [nodes] and height [m] of a point (x, y) of the belly plane: each a x + b y + c, as (a, b, c).
+
+    `pose` is x, y, z, roll, pitch, yaw [m, rad], `belly` the plane's height in the rover's frame; the grid has its
+    first node at x0, y0. [m]
+    """
     cr, sr, cp, sp = math.cos(pose[3]), math.sin(pose[3]), math.cos(pose[4]), math.sin(pose[4])
     cy, sy = math.cos(pose[5]) / spacing, math.sin(pose[5]) / spacing
     # Turned by roll about x, then by pitch about y, then by yaw about z.
@@ -31,7 +36,11 @@ def belly_plane(pose: Any, belly: float, x0: float, y0: float, spacing: float) -
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def above_edges(height: Any, body: Any, plane: Any, parts: Any) -> Any:
-    """Least height of the belly's edges above the ground, places without known ground, and places."""
+    """Least height of the belly's edges above the ground [m], places without known ground, and places.
+
+    `height` (ny, nx) [m] and `body` as in `least_above`, `plane` as of `belly_plane`; each edge along x and along y is
+    looked at in as many places as `parts` (2,) says. The height is infinite where no ground is known.
+    """
     (column_x, column_y, column_0), (row_x, row_y, row_0), (up_x, up_y, up) = plane
     ny, nx = height.shape
     least, unknown = np.inf, 0
@@ -60,7 +69,10 @@ def above_edges(height: Any, body: Any, plane: Any, parts: Any) -> Any:
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def above_nodes(height: Any, body: Any, plane: Any) -> Any:
-    """Least height of the belly above the nodes below it, nodes without known height, and nodes."""
+    """Least height of the belly above the nodes below it [m], nodes without known height, and nodes.
+
+    Arguments as in `above_edges`. The height is infinite where no node has one.
+    """
     (column_x, column_y, column_0), (row_x, row_y, row_0), (up_x, up_y, up) = plane
     ny, nx = height.shape
     x, y = 0.5 * (body[0] + body[1]), 0.5 * (body[2] + body[3])
@@ -88,7 +100,8 @@ def above_nodes(height: Any, body: Any, plane: Any) -> Any:
 def least_above(height: Any, x0: float, y0: float, spacing: float, body: Any, poses: Any, out: Any) -> None:
     """Least height of a belly above the ground for each pose (n, 6: x, y, z, roll, pitch, yaw [rad]), into `out`.
 
-    `body` is its rear, front, right and left edge and its height in the rover's frame. The ground is bilinear, so that
+    `height` (ny, nx) is the ground, with its first node at x0, y0 and this `spacing`; `body` (5,) the belly's rear,
+    front, right and left edge and its height in the rover's frame. [m] The ground is bilinear, so that
     what is highest below the belly is a node, or lies below an edge. `out` (n, 2) takes that height, NaN where no
     ground is known below, and the share of these places without known ground.
     """
@@ -119,7 +132,10 @@ def with_middles(height_m: FloatArray, interpolation: str) -> FloatArray:
 
 
 def _smooth_middles(height: FloatArray) -> FloatArray:
-    """Rows between the rows, by cubic convolution at a half (Keys 1981), in line with the last two beyond an edge."""
+    """Rows (n, m) with one between each two (2 n - 1, m), by cubic convolution at a half (Keys 1981).
+
+    In line with the last two beyond an edge.
+    """
     whole = np.concatenate([2 * height[:1] - height[1:2], height, 2 * height[-1:] - height[-2:-1]])
     result = np.empty((2 * len(height) - 1, height.shape[1]))
     result[::2] = height

@@ -117,7 +117,7 @@ class Judgement:
     quantity, unit : what is limited.
     sense : `at most` where large values are bad (the largest magnitude of each drive counts), `at least` where small
         ones are (the smallest value counts).
-    limit : the largest or smallest safe value.
+    limit : the largest or smallest safe value. This and the values below are in `unit`.
     p05, p50, p95, min, max : over the members. p95 is the smallest value that at least 95 % of the members do not
         exceed, p05 the largest that at least 95 % reach; with fewer than 20 members these are max and min.
     share, kept : share of the members that must keep the limit, 0.95 or what an accepted risk leaves; and the value
@@ -170,7 +170,14 @@ class Judgement:
 
 @dataclass(frozen=True, slots=True)
 class Worst:
-    """The member that comes nearest to a limit or furthest beyond it: its number, its soil, and why it is the worst."""
+    """The member that comes nearest to a limit or furthest beyond it, or the first that did not end.
+
+    Attributes
+    ----------
+    member : its number, from 0.
+    parameters : its swept soil parameters, in the units of their names.
+    why : the limit and its value, or how it ended.
+    """
 
     member: int
     parameters: dict[str, float]
@@ -333,6 +340,7 @@ def _beyond(risk: AcceptedRisk, chance: Chance) -> list[str]:
 
 
 def _within(risk: AcceptedRisk, chance: Chance) -> str:
+    """A note that the accepted risk decides, and what the chance of failing is."""
     return (
         f"{chance.failed} of {chance.drives} drives break a limit or do not end: a risk of {percent(chance.risk)}, at "
         f"most {percent(chance.high)}; {percent(risk.share)} is accepted, and decides"
@@ -340,13 +348,14 @@ def _within(risk: AcceptedRisk, chance: Chance) -> str:
 
 
 def _judge_limit(prediction: Prediction, limit: Limit, share: float) -> Judgement | None:
+    """A limit that a share of the members must keep; None where no member that finished has a value."""
     values = extremes(prediction, limit.quantity)
     members = np.flatnonzero(prediction.finished & ~np.isnan(values))
     if not members.size:
         return None
     values = values[members]
     sign = 1.0 if limit.sense == "at most" else -1.0
-    held = float(sign * np.quantile(sign * values, share, method="inverted_cdf"))
+    level = float(sign * np.quantile(sign * values, share, method="inverted_cdf"))
     judgement = Judgement(
         quantity=limit.quantity,
         unit=limit.unit,
@@ -358,7 +367,7 @@ def _judge_limit(prediction: Prediction, limit: Limit, share: float) -> Judgemen
         min=float(values.min()),
         max=float(values.max()),
         share=share,
-        kept=held,
+        kept=level,
         margin=math.nan,
         ok=False,
         exceeding=int(broken(limit, values).sum()),

@@ -1,6 +1,9 @@
 """Drives as tables: wheel states against distance, paths, ends, the spread of quantities over the members; what each
-wheel carried and pulled, whether wheels of a slow rover can, and forces with their uncertainty, the input of the joint
-identification of a soil.
+wheel carried and pulled, a check for loads that no wheel of a slow rover has, and forces with their uncertainty, the
+input of the joint identification of a soil.
+
+In every table `rover` and `ground` are as `Rover.written` and `Terrain.written` name them, so that whoever reads it can
+refuse states of another rover or ground.
 """
 
 from collections.abc import Sequence
@@ -33,6 +36,7 @@ PROFILED = {
 }
 """Quantities of the profiles, and their units."""
 ALL = "all"
+"""In the column `wheel` of a profile: all wheels together."""
 QUANTITIES = (
     "normal_force_n",
     "drawbar_pull_n",
@@ -42,12 +46,14 @@ QUANTITIES = (
     "slip_ratio",
     "side_slip_deg",
 )
+"""Columns of `STATE_COLUMNS` that `wheel_loads` sums up, units in their names; slip ratios have none."""
 
 
 def spread(values: FloatArray, reached: BoolArray) -> FloatArray:
     """p05, p50, p95, min and max over members (and wheels) at each sample, NaN where no member came. (5, samples)
 
-    `values` is (members, samples) or (members, samples, wheels). Percentiles interpolate linearly; NaN is left out.
+    `values` is (members, samples) or (members, samples, wheels); `reached`, the samples that were driven, (members,
+    samples). Percentiles interpolate linearly; NaN is left out.
     """
     values = values if values.ndim == 3 else values[..., None]
     counted = reached[..., None] & ~np.isnan(values)
@@ -110,7 +116,7 @@ def state_table(prediction: Prediction) -> "pd.DataFrame":
 
 
 def held_table(result: PrescribedLoads) -> "pd.DataFrame":
-    """States and forces of each wheel along a given motion: one row for each pose and wheel.
+    """States and forces of each wheel of a rover that is held to a given motion: one row for each pose and wheel.
 
     Columns time_s, wheel, then as in `state_table`, then missing_ahead_n, missing_left_n, missing_moment_nm: what the
     wheels together do not supply, rover and ground. Poses without equilibrium have no numbers.
@@ -172,10 +178,10 @@ def force_table(result: LoadEnsemble, states: PoseStates | None = None) -> "pd.D
 
     The columns of the measured states stay as they were read; normal_force_n, drawbar_pull_n, lateral_force_n, each
     with `_sigma`, are those of their times, between the poses of the motion. Without measured states there are time_s,
-    distance_m (rolled by the rims), wheel, x_m, y_m, sinkage_m, slip_ratio, side_slip_deg as the held motion has them
-    on the middle one of the soils. `valid` is false for states that were not valid, at and beside halts and gaps, and
-    where there are no forces. `forces_from` says that these were computed of a motion, so that their errors are alike,
-    `rover` whose wheels they are, `ground` where they were.
+    distance_m (rolled by the rims), wheel, x_m, y_m, sinkage_m, slip_ratio, side_slip_deg of `LoadEnsemble.held`, the
+    rover held to the motion on the middle one of the soils. `valid` is false for states that were not valid, at and
+    beside halts and gaps, and where there are no forces. `forces_from` says that these were computed of a motion, so
+    that their errors are alike, `rover` whose wheels they are, `ground` where they were.
     """
     import pandas as pd
 
@@ -198,6 +204,7 @@ def force_table(result: LoadEnsemble, states: PoseStates | None = None) -> "pd.D
 
 
 def _of_the_motion(result: LoadEnsemble) -> "pd.DataFrame":
+    """`force_table` without measured states: a row for each pose and wheel."""
     import pandas as pd
 
     held, wheels = result.held, result.held.rover.wheels
@@ -221,7 +228,10 @@ def _of_the_motion(result: LoadEnsemble) -> "pd.DataFrame":
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Of one quantity over the poses of a drive, and over the members of an ensemble, all counted alike."""
+    """Of one quantity over the poses of a drive, and over the members of an ensemble, all counted alike.
+
+    All numbers are in the unit of the quantity; p05 to p95 are percentiles.
+    """
 
     mean: float
     min: float
@@ -233,7 +243,14 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class WheelLoads:
-    """One wheel: quantity, with its unit, to its spread; and in how many of its states the wheel model holds. [-]"""
+    """What one wheel carried and pulled.
+
+    Attributes
+    ----------
+    wheel : its name.
+    quantities : each of `QUANTITIES` to its spread.
+    valid_share : share of its states in which the wheel model holds. [-]
+    """
 
     wheel: str
     quantities: dict[str, Spread]
@@ -241,9 +258,9 @@ class WheelLoads:
 
 
 def wheel_loads(wheels: Sequence[str], states: FloatArray) -> list[WheelLoads]:
-    """Summaries of wheel states (..., wheels, 10), columns `STATE_COLUMNS`; states that are no numbers are left out.
+    """Summaries of wheel states (..., wheels, 10), columns `STATE_COLUMNS`, one a wheel.
 
-    Empty where no state is a number.
+    A pose with a state that is no number is left out. Empty where no state is a number.
     """
     flat = states.reshape(-1, len(wheels), states.shape[-1])
     flat = flat[np.isfinite(flat).all(axis=(1, 2))]
@@ -285,7 +302,7 @@ class LoadCheck:
 
 
 def check_loads(prediction: Prediction) -> LoadCheck:
-    """Look for wheels at 0 N, and above twice the weight."""
+    """Look for wheels at 0 N, and above twice the weight, `MOST_LOAD`: no slow rover loads a wheel so."""
     loads = prediction.states[..., STATE_COLUMNS.index("normal_force_n")]
     driven = np.broadcast_to(prediction.reached[..., None], loads.shape)
     weight = prediction.rover.mass_kg * prediction.rover.gravity_m_s2

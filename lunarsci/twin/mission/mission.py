@@ -54,7 +54,12 @@ class MissionTarget:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommWindow:
-    """Hours of communication, 0 <= begin < end, from the begin of the mission. [s]"""
+    """Hours of communication.
+
+    Attributes
+    ----------
+    begin_s, end_s : from the begin of the mission, 0 <= begin < end. [s]
+    """
 
     begin_s: float
     end_s: float
@@ -66,7 +71,13 @@ class CommWindow:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MissionStart:
-    """Pose at the begin, known exactly. [m, m, deg]"""
+    """Pose of the rover's origin at the begin, which is exact.
+
+    Attributes
+    ----------
+    x_m, y_m : place. [m]
+    heading_deg : from x towards y. [deg]
+    """
 
     x_m: float
     y_m: float
@@ -156,9 +167,13 @@ def read_mission(source: Source) -> Mission:
 
 
 Pose = tuple[float, float, float]
+"""x, y and heading of the rover's origin."""
 Way = Callable[[Pose, tuple[float, float]], Plan]
+"""Finds a plan from a pose to a place, x and y. [m] Raises ParameterError where there is none."""
 Drive = Callable[[Plan], Prediction]
+"""Drives a plan on all soils."""
 Safe = Callable[[Prediction], BoolArray]
+"""Which members keep the limits of their plan. (members,)"""
 Fate = Literal["reached", "horizon", "no way", "no time", "no window", "no drive", "not tried"]
 
 
@@ -219,7 +234,14 @@ class TargetFate:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DrivenMission:
-    """A mission as driven: legs and the fates of its targets, in order."""
+    """A mission as driven.
+
+    Attributes
+    ----------
+    mission : as given.
+    legs : that were driven, in order.
+    targets : what became of each target, in order.
+    """
 
     mission: Mission
     legs: tuple[MissionLeg, ...]

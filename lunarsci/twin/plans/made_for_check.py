@@ -66,9 +66,15 @@ def _carried(plan: Plan, crs: str, onto: str) -> Plan:
 
 @dataclass(slots=True)
 class MadeForCheck:
-    """The rover that drives and its ground, whether each was asked for, and what was found about files of another.
+    """The rover that drives and its ground, and what there is to say of files that were made for others.
 
-    `made_for` is for the result; `remarks` has one sentence for each warning, `read_as` says how the ground was read.
+    Attributes
+    ----------
+    description, rover, asked : the rover, its file, and whether it was asked for.
+    terrain, terrain_asked : the ground, and whether it was asked for.
+    read_as : how the ground was read, where there was a choice.
+    made_for : which rovers plan and terrain were made for, for the result.
+    remarks : one sentence for each warning.
     """
 
     description: RoverDescription

@@ -145,7 +145,13 @@ def _blended(legs: tuple[Leg, ...], values: list[float], distance_m: npt.ArrayLi
 
 @dataclass(frozen=True, slots=True)
 class Commands:
-    """Steering angle [rad] and ground speed of the rim r_s omega, negative backwards [m/s], of each wheel. (..., n)"""
+    """What every wheel is to do.
+
+    Attributes
+    ----------
+    steering_rad : steering angle, positive to the left. (..., wheels) [rad]
+    speed_m_s : ground speed of the rim r_s omega, negative backwards. (..., wheels) [m/s]
+    """
 
     steering_rad: FloatArray
     speed_m_s: FloatArray

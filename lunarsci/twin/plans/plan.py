@@ -55,10 +55,15 @@ SLOWEST_M_S = 0.001
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """What counts as safe of a quantity, its unit, where the number comes from, whether it is a guess.
+    """What counts as safe of a quantity.
 
-    It is the largest safe value, or the smallest of the quantities in `AT_LEAST`; `sense` says which. Raises
-    ParameterError for a value that the quantity cannot have.
+    Attributes
+    ----------
+    quantity, unit : what is limited.
+    limit : the largest safe value, or the smallest of the quantities in `AT_LEAST`; `sense` says which.
+    source, assumed : where the number comes from, and whether it is a guess.
+
+    Raises ParameterError for a value that the quantity cannot have.
     """
 
     quantity: str
@@ -201,7 +206,16 @@ class Fixes:
 
 @dataclass(frozen=True, slots=True)
 class Sweep:
-    """Range of one soil parameter, with the number of grid points; the unit is in the name, as in `Soil`."""
+    """Range of one soil parameter.
+
+    Attributes
+    ----------
+    name : of the parameter, as in `Soil`, with its unit.
+    low, high : ends of the range, in that unit.
+    count : how many values a grid has of it.
+
+    Raises ParameterError for a range that is none, or that leaves the parameter's.
+    """
 
     name: str
     low: float

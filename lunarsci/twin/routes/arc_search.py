@@ -21,6 +21,7 @@ from lunarsci.twin.plans.path import arc_end
 LARGEST_TURN = 0.75 * np.pi
 """No closing arc turns further than this: where the search of these ends. [rad]"""
 MOST_ARCS = 4
+"""Of a course."""
 LENGTHS = 8
 """Free arcs are 1/8, 2/8 ... 8/8 of the distance of the target long."""
 HALVINGS = 5
@@ -42,7 +43,13 @@ PENALTY = 1e3
 
 
 class Window(NamedTuple):
-    """What `drive_arc` reads: origin and spacing [m], and at each node (ny, nx, 2) distance [m] and cost of a metre."""
+    """What `drive_arc` reads of the map.
+
+    Attributes
+    ----------
+    x0, y0, spacing : place of the first node, and distance of the nodes. [m]
+    values : distance from the nearest obstacle [m], and cost of a metre [-], at each node. (ny, nx, 2)
+    """
 
     x0: float
     y0: float
@@ -316,7 +323,13 @@ class ArcProblem(Strip):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Course:
-    """Arcs (n, 2) of length [m] and curvature [1/m], and their cost [m]."""
+    """A way of arcs.
+
+    Attributes
+    ----------
+    arcs : length and curvature of each. (n, 2) [m, 1/m]
+    cost_m : length in metres of flat, clear ground, and what its curves and arcs cost. [m]
+    """
 
     arcs: FloatArray
     cost_m: float
@@ -324,7 +337,14 @@ class Course:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Branches:
-    """Beginnings of courses that keep the clearance: arcs (n, k, 2), poses (n, 3), costs and lengths (n,)."""
+    """Beginnings of n courses, of k arcs each, that keep the clearance.
+
+    Attributes
+    ----------
+    arcs : length and curvature of each arc. (n, k, 2) [m, 1/m]
+    poses : x, y and heading where they end. (n, 3) [m, m, rad]
+    cost, length : so far. (n,) [m]
+    """
 
     arcs: FloatArray
     poses: FloatArray

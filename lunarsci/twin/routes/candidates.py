@@ -129,7 +129,13 @@ class DistinctWays:
 
 @dataclass(frozen=True, slots=True)
 class Manner:
-    """How a drive goes: first a spot turn, then arcs travelled at an angle to the heading. [deg]"""
+    """How a drive goes.
+
+    Attributes
+    ----------
+    turn_deg : spot turn at the start, positive to the left. [deg]
+    crab_deg : angle of travel to the heading on the arcs that follow; 180 is backwards. [deg]
+    """
 
     turn_deg: float = 0.0
     crab_deg: float = 0.0

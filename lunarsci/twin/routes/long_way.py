@@ -39,7 +39,13 @@ MOST_NODES = 2_000_000
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NodeWay:
-    """The cheapest way over the nodes of a map: places (n, 2) [m] and the cost up to each (n,) [m]."""
+    """The cheapest way over the nodes of a map.
+
+    Attributes
+    ----------
+    places_m : x and y of its nodes. (n, 2) [m]
+    cost_m : length as the ground weighs it, up to each. (n,) [m]
+    """
 
     places_m: FloatArray
     cost_m: FloatArray

@@ -39,18 +39,18 @@ from lunarsci.twin.lanes import BODY, FINISHED, GROUP, SANK, SYSTEM, WHEEL, Work
 DEEPEST = 0.9
 """The closed form has no meaning once the wheel is buried to its axle; beyond this share of r the force stays constant:
 assumed."""
-# Below this sinkage [m] the contact angles round to nothing.
 SHALLOWEST = 1e-9
+"""Below this sinkage the contact angles round to nothing. [m]"""
 VALID_SLIP = 0.6
 """Range of the slip ratio, to either side: see `MAX_VALID_SLIP`."""
-# Speeds [m/s] below this are none; a rim as slow as that stands still.
 SLOWEST = 1e-9
-# Of the ground under a wheel that stands, along its surface [N/m, N s/m]: stiff, so that it gives by less than a
-# millimetre before it yields, and about half of critical; for 22.5 kg on the wheel, and for another mass in proportion.
-# Assumed: no unloading of regolith along the surface is published.
+"""Speeds below this are none; a rim as slow as that stands still. [m/s]"""
 STAND_STIFFNESS, STAND_DAMPING = 1e5, 1500.0
-# A wheel that yields comes to rest when it moves by less than this share of what the stiffness gives in a step.
+"""Of the ground under a wheel that stands, along its surface [N/m, N s/m]: stiff, so that it gives by less than a
+millimetre before it yields, and about half of critical; for 22.5 kg on the wheel, and for another mass in proportion.
+Assumed: no unloading of regolith along the surface is published."""
 CAUGHT = 0.01
+"""A wheel that yields comes to rest when it moves by less than this share of what the stiffness gives in a step."""
 RISE_N_M4 = 503e6
 """A_u of a dry sand (LETE sand, Wong 2008, table 2.4, not checked against the book), assumed for regolith, of which
 none is published. [N m^-4]"""
@@ -64,16 +64,19 @@ MOST_NODES = 2e7
 AXLE, CENTER, GROUND, RIM, RUT, SINKAGE, SOIL = (
     WHEEL.first[name] for name in ("axle", "center", "ground", "rim", "rut", "sinkage", "soil")
 )
-# Assumed, for a calm touch-down: half of critical for this mass on a wheel [kg] on 7 kN/m, and for another in
-# proportion; the soil's own is not published. [N s/m]
+"""Rows of a wheel in `Work.wheels`: the number of one lane in row k lies at k * GROUP + lane."""
 NORMAL_DAMPING, MASS_ON_WHEEL = 400.0, 22.5
+"""Assumed, for a calm touch-down: half of critical for this mass on a wheel on 7 kN/m, and for another in proportion;
+the soil's own is not published. [N s/m, kg]"""
 AT_REST, DRIVEN, HELD = 0, 1, 2
-# Travel over which the bearing takes up a change of slip [m]: at a creep it does not follow at once. Assumed, short
-# against the contact, so that a step under way passes it.
+"""Modes of `add_wheel`: a rover at rest, one that drives, and one that is held to a motion."""
 TAKE_UP_M = 1e-3
+"""Travel over which the bearing takes up a change of slip: at a creep it does not follow at once. Assumed, short
+against the contact, so that a step under way passes it. [m]"""
 STEADY = 0.02
 """A rim whose speed changes by less than this share in a step is under way; assumed."""
 RIM_ROW = WHEEL.first["rim"] * GROUP
+"""Where the speeds of the rims begin in a wheel's array."""
 
 
 def contact_frame(slope_x: Any, slope_y: Any, axle: Any) -> Any:
@@ -86,12 +89,12 @@ def contact_frame(slope_x: Any, slope_y: Any, axle: Any) -> Any:
 
 
 def lane_tyre(tyre: Any, wheel: Any) -> Any:
-    """`Wheel.vector()` with what the wheel of each rover has for itself."""
+    """`Wheel.vector()` with what the wheel of each rover has for itself: r_s, c1, c2 and c3."""
     return (*tyre[:3], *wheel.tread[:4])
 
 
 def shear_center(sinkage: Any, slip: Any, tyre: Any) -> Any:
-    """How far ahead of and below the axle the shear stress is centred. [m]"""
+    """How far ahead of and below the axle the shear stress is centred, at a sinkage [m] and slip ratio. [m]"""
     r, _, _, r_s, c1, c2, c3 = tyre
     theta_1 = 2.0 * arcsin(root(sinkage / (2.0 * r)))
     middle = (1.0 + c3 + c1 + c2 * slip) * theta_1 / 3.0
@@ -99,7 +102,7 @@ def shear_center(sinkage: Any, slip: Any, tyre: Any) -> Any:
 
 
 def pressed_depth(sinkage: Any, tyre: Any) -> Any:
-    """Sinkage within what the forces know. [m]"""
+    """Sinkage within what the forces know: from `SHALLOWEST` to `DEEPEST`. [m]"""
     return lowest(DEEPEST * tyre[0], highest(SHALLOWEST, sinkage))
 
 
@@ -187,7 +190,7 @@ def lean(wheels: Any, w: Any, tyre: Any, lane: Any) -> None:
 
 
 class RutGrid(NamedTuple):
-    """Where ruts are kept: nodes (rows, columns), and `Work.frame`."""
+    """Where ruts are kept: how many nodes (rows, columns), and `Work.frame` (7,)."""
 
     shape: tuple[int, int]
     frame: FloatArray
@@ -224,7 +227,10 @@ def with_ruts(work: Work, grid: RutGrid) -> Work:
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def depth_at(ruts: Any, lane: int, column: float, row: float) -> tuple[float, float]:
-    """How deep the ground was pressed at a place between nodes, and how deep it is still; 0 beyond them. [m]"""
+    """How deep the ground was pressed at a place between nodes, and how deep it is still; 0 beyond them. [m]
+
+    `ruts` is `Work.ruts`, the place in its columns and rows.
+    """
     ny, nx = ruts.shape[1], ruts.shape[2]
     if not (0.0 <= column < nx - 1 and 0.0 <= row < ny - 1):
         return 0.0, 0.0
@@ -240,7 +246,7 @@ def depth_at(ruts: Any, lane: int, column: float, row: float) -> tuple[float, fl
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def still_deep(pressed: float, stiffness: float, exponent: float) -> float:
-    """Depth of a rut when the wheel has gone. [m]"""
+    """Depth of a rut when the wheel has gone, of how deep it was `pressed`, on soil of that K_s and n0. [m]"""
     if not pressed > SHALLOWEST:
         return 0.0
     load = stiffness * exponential(exponent * logarithm(pressed))
@@ -268,7 +274,7 @@ def read_ruts(work: Any, w: int) -> None:
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def press_ruts(work: Any, width: float) -> None:
-    """Leave the ruts of all wheels that roll, two spacings long, with ends that run out over another."""
+    """Leave the ruts of all wheels that roll, as wide [m], two spacings long, with ends that run out over another."""
     frame = work.frame
     wide = width * math.sqrt(frame[2] ** 2 + frame[3] ** 2)
     for w in range(len(work.wheels)):

@@ -42,21 +42,23 @@ from lunarsci.twin.lanes import (
 from lunarsci.twin.simulation.contact import add_wheel, read_ruts
 
 COS_OVERTURNED = math.cos(math.radians(STEEPEST_DEG))
-# Assumed: no part of a rover that drives at cm/s comes near this speed [m/s or rad/s] while the run has a meaning.
+"""Cosine of the tilt from which on a rover has overturned."""
 FASTEST = 10.0
+"""No part of a rover that drives at cm/s comes near this speed while the drive has a meaning; assumed. [m/s, rad/s]"""
 FALLING = 1.0
 """Speed of the rover that no drive reaches: a drop of 0.3 m on the Moon; assumed. [m/s]"""
 MOST_LOAD, IMPACT = 2.0, 0.1
 """Wheel load as a share of the weight beyond which a run has lost its meaning, but in an impact: a wheel that comes
 down at more than this speed [m/s], 3 mm of free fall on the Moon; assumed."""
-# Energy from nowhere, as a share of what lifts the rover by a wheel's radius, beyond which a run has lost its meaning;
-# assumed: 3 cm for a wheel of 15 cm, more than any rounding and less than a jump.
 MOST_EXCESS = 0.2
-# Forces along the wheels under way that the steps miss, as a share of the weight, beyond which a run has lost its
-# meaning, and the share of the last step in their mean (assumed: some ten steps). With shear moduli of 0.05-18 mm, on
-# four grounds, drives of 1.5 m with more than this were 1-80 cm off at their ends, those with less within 1 cm.
+"""Energy from nowhere, as a share of what lifts the rover by a wheel's radius, beyond which a drive has lost its
+meaning; assumed: 3 cm for a wheel of 15 cm, more than any rounding and less than a jump."""
 MOST_ERROR, MEMORY = 0.25, 0.1
+"""Forces along the wheels under way that the steps miss, as a share of the weight, beyond which a drive has lost its
+meaning, and the share of the last step in their mean (assumed: some ten steps). With shear moduli of 0.05-18 mm, on
+four grounds, drives of 1.5 m with more than this were 1-80 cm off at their ends, those with less within 1 cm."""
 OUTCOME = BODY.first["outcome"] * GROUP
+"""Where the outcomes begin in `Work.body`."""
 JOINTS = (7, 8)
 """Coordinates of the bogies, which do not meet each other in the system."""
 

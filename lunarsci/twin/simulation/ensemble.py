@@ -21,7 +21,9 @@ from lunarsci.twin.simulation.contact import DEEPEST, SHALLOWEST
 from lunarsci.twin.simulation.members import MOST_STEPS, DriveSetup, Grounds, drive_all, drive_finer
 
 PATH_COLUMNS = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg")
+"""Of a pose of the rover's origin; while drives are computed the angles are in rad."""
 OFFSET_COLUMNS = ("offset_x_m", "offset_y_m")
+"""How far from its path the physics' discrepancy has a member."""
 MOST_BEYOND = 0.05
 """Share of the values of a drive that may be beyond the wheel model, after the end of the plan, or outliers; what rests
 on more of them is in doubt. Assumed, one for all."""
@@ -37,12 +39,15 @@ STATE_COLUMNS = (
     "resistance_torque_nm",
     "valid",
 )
+"""Of a wheel: x and y of its centre, states, forces, and 1 where the wheel model holds, else 0; while drives are
+computed the side slip is in rad."""
 LONGEST_STEP_S, LONGEST_SAMPLE_M = 0.2, 0.5
 """Measured: beyond these the time-step error reaches centimetres, and the largest slip or tilt falls between
 samples."""
 MOST_MEMBERS = 100_000
-# States of this many members times samples fill 1 GB.
+"""Of an ensemble; assumed."""
 MOST_SAMPLES = 2_000_000
+"""Members times samples, whose states fill 1 GB."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -213,6 +218,10 @@ def _given_parameters(
     sweep: tuple[Sweep, ...] | None,
     members: int | None,
 ) -> dict[str, FloatArray]:
+    """Soils that are given, parameter to one value for each member. (members,)
+
+    Raises ParameterError for a sweep or a number of members beside them, and for values that do not fit together.
+    """
     if sweep is not None or members is not None:
         raise ParameterError("the soils are given; leave out the sweep and the number of members")
     values = {name: np.asarray(value, dtype=float) for name, value in samples.items()}
@@ -324,6 +333,7 @@ def _steps(schedule: Schedule, members: int, time_step_s: float, sample_m: float
 
 
 def _check_plans(plan: Plan, before: Plan | None, rover: Rover, ruts: bool) -> None:
+    """Raises ParameterError for a plan that the rover cannot follow, and for one before where ruts are left out."""
     check_plan(plan, rover)
     if before is not None:
         check_plan(before, rover)
@@ -332,7 +342,11 @@ def _check_plans(plan: Plan, before: Plan | None, rover: Rover, ruts: bool) -> N
 
 
 def for_people(scene: DriveSetup, paths: FloatArray, states: FloatArray, recorded: IntArray, halted: BoolArray) -> None:
-    """Halts without slip, drives that ended early filled up, angles in degrees."""
+    """Halts without slip, drives that ended early filled up, angles in degrees; all in place.
+
+    `paths` (members, samples, 6) and `states` (members, samples, wheels, 10) come with angles in rad; `recorded`
+    (members,) and `halted` (samples,) are as in `Prediction`.
+    """
     start, plan = scene.schedule.poses[0], scene.schedule.plan
     _calm_halts(states, halted, scene.rover.wheel.radius_m)
     _hold_last(paths, states, recorded, start, float(scene.terrain.height_at(plan.x_m, plan.y_m)))
@@ -353,7 +367,10 @@ def _calm_halts(states: FloatArray, halted: BoolArray, radius_m: float) -> None:
 
 
 def _hold_last(paths: FloatArray, states: FloatArray, recorded: IntArray, start: FloatArray, height: float) -> None:
-    """Repeat the last sample of a drive that ended early; a drive that never began stays at the start, all forces 0."""
+    """Repeat the last sample of a drive that ended early; a drive that never began stays at the start, all forces 0.
+
+    `start` is x, y, heading (3,) [m, m, rad], `height` the ground's there. [m]
+    """
     for m in np.flatnonzero(recorded < paths.shape[1]):
         last = int(recorded[m])
         if last == 0:

@@ -46,17 +46,16 @@ from lunarsci.twin.simulation.contact import (
 from lunarsci.twin.simulation.dynamics import advance, assemble, check_sense, orient
 from lunarsci.twin.simulation.settle import settle, tread
 
-# Into how many parts a step is cut as the rover starts and stops, assumed. In whole steps wheels on slopes swing as
-# they start, and dig 4 mm deeper than in short ones.
 SLOW_PARTS = 4
-
-
+"""Into how many parts a step is cut as the rover starts and stops, assumed. In whole steps wheels on slopes swing as
+they start, and dig 4 mm deeper than in short ones."""
 STEER, RIM = (WHEEL.first[name] for name in ("steer", "rim"))
 RATIO = WHEEL.first["tread"] + 4
 X_ROW, Y_ROW, Z_ROW = (BODY.first[name] for name in ("x_row", "y_row", "z_row"))
 CENTER, SINKAGE, VELOCITY, NORMAL, DRAWBAR, SIDE, RESISTANCE, RUT = (
     WHEEL.first[name] for name in ("center", "sinkage", "velocity", "normal", "drawbar", "side", "resistance", "rut")
 )
+"""Rows of a wheel in `Work.wheels`, and of `Work.body`: the number of one lane in row k lies at k * GROUP + lane."""
 MOST_STEPS = 1e7
 """Minutes of computing for a single member."""
 SLOW = 0.4
@@ -85,7 +84,7 @@ def take_commands(work: Any, steering: Any, speed: Any, step: int) -> None:
 
 
 def roll_on(work: Work, ahead: float, left: float, turn: float) -> None:
-    """Start velocity: as commanded, along the chassis' x and y axes [m/s] and about its z axis [rad/s]."""
+    """Give all rovers the start velocity: as commanded, along the chassis' x and y [m/s] and about its z [rad/s]."""
     for lane in range(0, GROUP, LANES):
         orient(work.body, lane)
     axes = np.array([BODY.view(work.body, name) for name in ("x_row", "y_row", "z_row")])
@@ -95,8 +94,9 @@ def roll_on(work: Work, ahead: float, left: float, turn: float) -> None:
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def record(work: Any, lane: int, tyre: Any, path: Any, states: Any) -> None:
-    """Pose (x, y, z, roll, pitch, yaw [rad]) and wheel states of one rover at this instant, one row of the results.
+    """Pose (x, y, z, roll, pitch, yaw [m, rad]) and wheel states of one rover at this instant, one row of the results.
 
+    Into `path` (6,) and `states` (wheels, 10), from the rover in this `lane` of a `Work`; `tyre` is `Wheel.vector()`.
     State: x, y, sinkage below the undisturbed ground, slip ratio, side slip [rad], F_N, F_DP, F_L, M_R, valid (1 or 0).
     A wheel that turns backwards is seen along its own direction of travel. The slip ratio is that of the stated r_s, as
     telemetry has it.
@@ -123,7 +123,10 @@ def begin(
     rover: Any, tyre: Any, grid: Any, override: Any, start: FloatArray, motion: FloatArray, steering: Any, speed: Any,
     work: Work,
 ) -> None:  # fmt: skip
-    """Settle the rovers at `start` (GROUP, 3), steered by their first commands, and give them `motion` (3)."""
+    """Settle the rovers at `start`, steered by their first commands, and give them the velocity `motion`.
+
+    `start` (GROUP, 3) is x, y, heading [m, m, rad], `motion` (3,) as in `roll_on`; others as in `drive`.
+    """
     tread(tyre, override, work)
     take_commands(work, steering, speed, 0)
     settle(rover, tyre, grid, override, start, work)
@@ -153,6 +156,7 @@ def drive(
 
     Parameters
     ----------
+    rover, tyre, grid : `Rover.vector()`, `Wheel.vector()`, `Terrain.grid()`.
     override : (GROUP, 12) soil and wheels of each; lanes beyond the members repeat one of them.
     steering, speed : (rovers, steps, wheels) commanded angles and ground speeds; one rover stands for all.
     time_step_s, first : step [s], and number of the first one since the drive began.
@@ -160,6 +164,7 @@ def drive(
     last : whether the drive ends here, which is recorded too.
     pressing : steps between marks in the ruts of `work`; 0 where it has none.
     slow : steps of the whole drive in which the rover starts or stops. (all steps + 1,)
+    work : `Work` of the group, at the state that the drive goes on from.
     paths, states : (members, samples, 6) and (members, samples, wheels, 10), filled on.
     results : (members, 2) outcome, and number of samples recorded so far.
     """
@@ -221,9 +226,17 @@ class Grounds(Protocol):
 class DriveSetup:
     """What all members share: who drives where, when, and at which times it is stepped; or the ground of each.
 
-    With `ruts` wheels meet those of others, and of the scene that was driven `earlier`. `only` are the numbers of the
-    members, where it is not all of them. `draws` are what the ground of each of all members is drawn by, where heights
-    have errors.
+    Attributes
+    ----------
+    rover, terrain, schedule : who drives where, and when.
+    times_s : ends of all steps, the start first; evenly spaced. (steps + 1,) [s]
+    every : steps between samples.
+    seed : of the errors of position fixes.
+    grounds : a terrain for each of all members; None where they share one.
+    ruts : whether wheels meet the ruts of others, and of the scene that was driven `earlier`.
+    earlier : the drive before on the same ground; None without one.
+    only : numbers of the members that drive, ascending; None for all of them.
+    draws : what the ground of each of all members is drawn by; None where heights are exact. (members, modes + 2)
     """
 
     rover: Rover
@@ -292,6 +305,7 @@ class DriveSetup:
 
 
 def _begin(scene: DriveSetup, inputs: tuple[Any, Any, Any, Any], commands: Commands, work: Work) -> None:
+    """Put a group at the start of its plan; `inputs` are rover, tyre, grid and override of `drive`."""
     start = np.tile(scene.schedule.poses[0], (GROUP, 1))
     motion = np.array(start_motion(scene.schedule, scene.rover))
     begin(*inputs, start, motion, commands.steering_rad, commands.speed_m_s, work)
@@ -308,7 +322,16 @@ def drive_group(
 ) -> None:
     """Drive a group's plan, run by run where each of it leads from where the rover then believes to be.
 
-    `steered` (members, runs, 3) takes the leg of each run after the first as each of the members steers it.
+    Parameters
+    ----------
+    scene : what is driven.
+    inputs : rover, tyre, grid and override of `drive`.
+    common : commands that all members share; None where each has its own after its position fixes.
+    errors : of these fixes. (GROUP, runs, 3) [m, m, rad]
+    work : scratch arrays of the group, with the ruts so far.
+    records : paths, states and results of `drive`.
+    steered : takes the leg of each run after the first as each of the members steers it: length, curvature, turn.
+        (members, runs, 3) [m, 1/m, rad]
     """
     slow = scene.slow
     if common is not None:
@@ -334,14 +357,20 @@ def drive_group(
 
 
 Driven = tuple[FloatArray, FloatArray, IntArray, FloatArray]
-"""Paths, states, results, and legs as steered after position fixes."""
+"""Paths, states and results of `drive`, and legs as steered of `drive_group`, a row for each member."""
 
 
 @dataclass(frozen=True, eq=False)
 class MemberDrives:
     """The drives of some members, in groups that do not depend on who drives the others.
 
-    Members with a ground of their own are a group each.
+    Members with a ground of their own are a group each. Called with a block of members by `run_blocks`.
+
+    Attributes
+    ----------
+    scene : what is driven.
+    overrides : soil and wheels of each member, of `soil_overrides`. (members, 12)
+    samples : of a drive.
     """
 
     scene: DriveSetup
@@ -389,7 +418,7 @@ class MemberDrives:
         return whole
 
     def empty(self, members: int, scene: DriveSetup | None = None, samples: int | None = None) -> Driven:
-        """What is to be filled, of the scene or of another one."""
+        """Zeros for so many members to be filled, of the scene or of another one."""
         setup = self.scene if scene is None else scene
         wheels, rows = len(setup.rover.wheels), self.samples if samples is None else samples
         runs = 0 if setup.schedule.plan.fixes is None else len(setup.schedule.runs)

@@ -1,7 +1,8 @@
 """Wheel loads along a prescribed motion: the rover is held where it was, and its wheels carry it there.
 
 What they do not supply of force and moment is the residual wrench; the contact Jacobian says what one newton of each
-wheel's forces adds to the net wrench.
+wheel's forces adds to the net wrench. Both are of three totals: force ahead, force to the left, and moment about the
+vertical. `held` names the loads of a rover that is held to the measured motion.
 
 Wheel forces along a measured motion, with their uncertainty: soils and motions are drawn, and the totals balanced.
 
@@ -52,11 +53,15 @@ FORCES = ("normal_force_n", "drawbar_pull_n", "lateral_force_n")
 LARGEST_RESIDUAL = 0.05
 """Share of the weight: a residual beyond it says that the soil or the motion is not as given; assumed."""
 FORCE_COLUMNS = [STATE_COLUMNS.index(name) for name in FORCES]
+"""Places of `FORCES` in `STATE_COLUMNS`."""
 MEASURED = ("sinkage_m", "slip_ratio", "side_slip_deg")
+"""Columns of measured states that the soil may be learned from."""
 DRAWS, FEWEST_DRAWS = 64, 16
+"""Soils and motions on which forces are computed, by default and at least; assumed."""
 BALANCE_ERROR = 0.005
 """Standard error of the balance as a share of the weight, for a slope that is off by 0.3 deg, and inertia; assumed."""
 TOTALS = ("ahead", "left", "moment")
+"""Of the forces of all wheels, in the order of all arrays here. [N, N, N m]"""
 SOIL_STILL, FORCES_STILL = 0.1, 0.01
 """Largest move of the soil's mean, in what remains of its standard deviations, and of pulls and lateral forces as a
 share of themselves, in a round that has converged."""
@@ -75,12 +80,12 @@ class PrescribedLoads:
 
     Attributes
     ----------
-    rover, terrain, motion : what it was computed from.
+    rover, terrain, motion : what it was computed from; n is the number of the motion's poses.
     paths : poses as the ground puts them, columns `PATH_COLUMNS`. (n, 6)
     states : columns `STATE_COLUMNS`. (n, wheels, 10)
-    missing_n : force ahead and to the left that the wheels do not supply: what would have to hold the rover to its
+    residual_n : force ahead and to the left that the wheels do not supply: what would have to hold the rover to its
         motion, were the ground as it is modelled. (n, 2) [N]
-    missing_nm : the same as a moment about the vertical. (n,) [N m]
+    residual_nm : the same as a moment about the vertical. (n,) [N m]
     outcome : index into `OUTCOMES`; where it is not 0 the row's forces are no numbers. (n,)
     axes : forward, left and normal axis of each wheel's contact. (n, wheels, 3, 3)
     arms : from the rover's origin to the wheels' centres. (n, wheels, 3) [m]
@@ -116,7 +121,7 @@ class PrescribedLoads:
 
     @property
     def residual_share(self) -> float:
-        """Root mean square of the missing force, as a share of the rover's weight. [-]"""
+        """Root mean square of the residual force, as a share of the rover's weight; NaN without forces. [-]"""
         weight = self.rover.mass_kg * self.rover.gravity_m_s2
         rows = self.with_forces
         return float(np.sqrt((self.residual_n[rows] ** 2).sum(axis=1).mean()) / weight) if rows.any() else np.nan
@@ -138,6 +143,7 @@ def prescribed_loads(rover: Rover, terrain: Terrain, motion: Motion, soil: Float
         raise ParameterError(f"the motion's commands have shape {motion.speed_m_s.shape}; {(count, wheels)} is wanted")
     override = np.full((GROUP, len(OVERRIDES)), np.nan) if soil is None else np.tile(soil, (GROUP, 1))
     scene = (rover.vector(), rover.wheel.vector(), terrain.grid(), override)
+    # Poses of the ten coordinates of `dynamics`, and nine velocities; `left` is what holds the rover, in x, y and yaw.
     poses, velocities = np.full((count, 10), np.nan), np.zeros((count, 9))
     paths, states, left = np.zeros((count, 6)), np.zeros((count, wheels, 10)), np.zeros((count, 3))
     outcome, frames = np.zeros(count, dtype=np.int64), np.zeros((count, wheels, 12))
@@ -172,7 +178,11 @@ def prescribed_loads(rover: Rover, terrain: Terrain, motion: Motion, soil: Float
 
 
 def _place(scene: tuple[Any, Any, Any, Any], motion: Motion, lanes: IntArray, work: Any) -> None:
-    """Let a group of rovers rest on the ground at its poses."""
+    """Let a group of rovers rest on the ground, each at one pose of the motion.
+
+    `scene` is `Rover.vector()`, `Wheel.vector()`, `Terrain.grid()` and overrides (GROUP, 12); `lanes` the number of the
+    pose of each rover (GROUP,). `work`, a `Work`, takes the poses and outcomes.
+    """
     start = np.column_stack([motion.x_m, motion.y_m, np.radians(motion.yaw_deg)])[lanes]
     speed = np.where(motion.speed_m_s == 0, CREEP_M_S, motion.speed_m_s)
     tread(scene[1], scene[3], work)
@@ -181,7 +191,10 @@ def _place(scene: tuple[Any, Any, Any, Any], motion: Motion, lanes: IntArray, wo
 
 
 def _velocities(time_s: FloatArray, poses: FloatArray) -> FloatArray:
-    """Generalised velocities by differences of the poses, NaN beside poses that are. (n, 9)"""
+    """Generalised velocities by differences of poses (n, 10), NaN at and beside poses that are NaN. (n, 9)
+
+    Coordinates as in `lunarsci.twin.simulation.dynamics`.
+    """
     given: Any = np.isfinite(poses).all(axis=1)
     turned = Rotation.from_quat(np.where(given[:, None], poses[:, [4, 5, 6, 3]], [0.0, 0.0, 0.0, 1.0]))
     steps = np.diff(time_s)[:, None]
@@ -200,6 +213,11 @@ def _results(
     result: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     outcome: IntArray,
 ) -> PrescribedLoads:
+    """Angles in degrees, forces ahead and to the left, and no numbers where there was no equilibrium or no speed.
+
+    `result` is paths (n, 6), states (n, wheels, 10), what holds the rover in x, y and yaw (n, 3) [N, N, N m], and axes
+    and arms of the contacts (n, wheels, 12); it is changed in place, and so is `outcome` (n,).
+    """
     # What a speed that is not known leads to says nothing of the ground.
     outcome[motion.no_speed & np.isin(outcome, (DIVERGED, SANK, UNSETTLED))] = FINISHED
     for part in result:
@@ -231,8 +249,8 @@ def contact_jacobian(result: PrescribedLoads) -> FloatArray:
     lateral one where the shear stress is centred.
     """
     ahead, below = _shear_centers(result)
-    e, d, n = (result.axes[:, :, k] for k in range(3))
-    along = np.stack([n, e, -d], axis=2)  # (n, wheels, forces, xyz)
+    e, d, n = (result.axes[:, :, k] for k in range(3))  # forward, left, normal: (poses, wheels, xyz)
+    along = np.stack([n, e, -d], axis=2)  # (poses, wheels, forces, xyz)
     turn = np.cross(result.arms[:, :, None], along)[..., 2]
     turn[..., 2] += -below * e[..., 2] - ahead * n[..., 2]
     yaw = np.radians(result.motion.yaw_deg)[:, None, None]
@@ -247,7 +265,9 @@ def residual_wrench(result: PrescribedLoads) -> FloatArray:
 
 
 def net_wrench(result: PrescribedLoads, levers: FloatArray) -> FloatArray:
-    """What drawbar pulls and lateral forces have to add up to for the motion: (n, 3) [N, N, N m]
+    """What drawbar pulls and lateral forces have to add up to for the motion. (n, 3) [N, N, N m]
+
+    `levers` are those of `contact_jacobian`. (n, 3, wheels, 3)
 
     Weight and slope are in the normal forces; these follow from the levers of the suspension and hardly from the soil.
     """
@@ -256,6 +276,7 @@ def net_wrench(result: PrescribedLoads, levers: FloatArray) -> FloatArray:
 
 
 def _shear_centers(result: PrescribedLoads) -> tuple[FloatArray, FloatArray]:
+    """How far ahead of and below each wheel's axle the shear stress is centred. (n, wheels) [m]"""
     sinkage, slip = (result.states[..., STATE_COLUMNS.index(name)] for name in ("sinkage_m", "slip_ratio"))
     ahead, below = shear_center(sinkage, slip, result.rover.wheel.vector())
     return ahead, below
@@ -313,11 +334,14 @@ def correlation_length(motion: Motion, states: PoseStates | None) -> tuple[float
 
 @dataclass(frozen=True, slots=True)
 class Shares:
-    """Where the variance of a force comes from, over all wheels and poses; the shares add up to 1. [-]
+    """Where the variance of a force comes from, over all wheels and poses: four shares that add up to 1.
 
-    `soil` and `motion` are what each brings alone, `balance` the error of the totals, `together` what soil and motion
-    bring only jointly (and sampling error; it may be below 0). `of_force` is the standard deviation that the soil
-    brings, as a share of the force itself (root mean squares).
+    Attributes
+    ----------
+    soil, motion : what each brings alone. [-]
+    balance : what the error of the totals brings. [-]
+    together : what soil and motion bring only jointly, and sampling error; it may be below 0. [-]
+    of_force : standard deviation that the soil brings, as a share of the force itself (root mean squares). [-]
     """
 
     soil: float
@@ -333,14 +357,14 @@ class LoadEnsemble:
 
     Attributes
     ----------
-    held : along the measured motion on the middle one of the soils.
-    known : poses with forces. (n,)
+    held : loads of the rover held to the measured motion itself, on the middle one of the soils.
+    with_forces : poses with forces; at others the arrays below have no numbers, but `carried`. (n,)
     before, after : mean. (n, wheels, 3) [N]
     before_parts, after_parts : variances: soil alone, motion alone, balance, together. (4, n, wheels, 3) [N^2]
-    missing_before, missing_after : mean of what the wheels do not supply: ahead, left, moment. (n, 3) [N, N, N m]
-    total_before, total_after : standard deviations of what all wheels supply of these. (n, 3) [N, N, N m]
+    residual_before, residual_after : mean of what the wheels do not supply of `TOTALS`. (n, 3) [N, N, N m]
+    total_before, total_after : standard deviations of what all wheels supply of `TOTALS`. (n, 3) [N, N, N m]
     carried : share of the draws with an equilibrium, at each pose. (n,)
-    surprise : chi-square of what is missing before, for each of its three values, against the draws. (n,) [-]
+    surprise : chi-square of the residual before, for each of its three values, against the draws. (n,) [-]
     correlation_m : of the motion's errors. [m]
     """
 
@@ -399,7 +423,14 @@ class LoadEnsemble:
 
 @dataclass(frozen=True, slots=True)
 class _Drawn:
-    """Forces (d, n, wheels, 3), what is missing of the totals (d, n, 3), and where there was an equilibrium (d, n)."""
+    """What was computed of some draws of soil, or motion, or both.
+
+    Attributes
+    ----------
+    forces : columns `FORCES`. (draws, n, wheels, 3) [N]
+    residual : what the wheels do not supply of `TOTALS`. (draws, n, 3) [N, N, N m]
+    carried : poses with forces. (draws, n)
+    """
 
     forces: FloatArray
     residual: FloatArray
@@ -461,6 +492,7 @@ def draw_loads(
 def _along(
     rover: Rover, terrain: Terrain, motions: list[Motion], rows: FloatArray, report: Callable[[], None]
 ) -> _Drawn:
+    """Loads along each of some motions, on the soil in the same place of `rows` (draws, 12), of `soil_overrides`."""
     forces, residual, carried = [], [], []
     for motion, row in zip(motions, rows, strict=True):
         result = prescribed_loads(rover, terrain, motion, row)
@@ -472,9 +504,15 @@ def _along(
 
 
 def _balanced(held: PrescribedLoads, drawn: list[_Drawn], error: FloatArray, correlation_m: float) -> LoadEnsemble:
-    """Pose by pose; `drawn` is with soil and motion both drawn, then with each alone."""
+    """Condition the forces on the balance of the totals, pose by pose.
+
+    `drawn` is with soil and motion both drawn, then with the soil alone and the motion alone; only the first where the
+    motion has no errors. `error` is that of the totals. (3,) [N, N, N m]
+    """
     count, wheels = held.states.shape[:2]
     shape = (count, wheels, 3)
+    # As the fields of `LoadEnsemble`, before the balance and after it: gap and left are residuals, total and rest
+    # standard deviations of the totals.
     before, after = np.full(shape, np.nan), np.full(shape, np.nan)
     parts, used_parts = np.full((4, *shape), np.nan), np.full((4, *shape), np.nan)
     gap, left = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
@@ -520,14 +558,20 @@ def _balanced(held: PrescribedLoads, drawn: list[_Drawn], error: FloatArray, cor
 
 
 def _gain(forces: FloatArray, residual: FloatArray, error: FloatArray) -> FloatArray:
-    """Change of the forces (d, f) for what is missing (d, 3): their covariance over that of the latter. (f, 3)"""
+    """Kalman gain: how the forces follow the residual, by their covariance over that of the residual and its error.
+
+    Of d draws of f forces (d, f), their residuals (d, 3), and the error of the totals (3,). (f, 3) [-, -, 1/m]
+    """
     off, lacking = forces - forces.mean(axis=0), residual - residual.mean(axis=0)
     count = len(forces) - 1
     return np.asarray(np.linalg.solve(lacking.T @ lacking / count + np.diag(error**2), lacking.T @ off / count).T)
 
 
 def _parts(forces: list[FloatArray], noise: FloatArray, fitted: float = 1.0) -> FloatArray:
-    """Variances by soil, by motion, by the balance and together. (4, wheels, 3)"""
+    """Variances by soil, by motion, by the balance and together, as `LoadEnsemble` has them. (4, wheels, 3) [N^2]
+
+    `forces` are of the draws of `_balanced`, at one pose. (draws, wheels, 3) each
+    """
     whole = fitted * forces[0].var(axis=0, ddof=1)
     soil, motion = (part.var(axis=0, ddof=1) for part in forces[1:]) if len(forces) == 3 else (whole, 0 * whole)
     return np.stack([soil, motion, noise, whole - soil - motion])
@@ -535,10 +579,15 @@ def _parts(forces: list[FloatArray], noise: FloatArray, fitted: float = 1.0) -> 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Round:
-    """What one round changed.
+    """What one round of `alternate` changed.
 
-    `soil` and `forces` are moves as in `SOIL_STILL` and `FORCES_STILL`; `step` is the soil's, by parameter, in standard
-    deviations that remain (8,); `sd_ratio` what remains of those before any drive; reduced chi-squares.
+    Attributes
+    ----------
+    soil : largest entry of `step`, as in `SOIL_STILL`. [-]
+    forces : move of pulls and lateral forces as a share of themselves, as in `FORCES_STILL`. [-]
+    step : move of the soil's mean, by parameter, in the standard deviations that remain. (8,) [-]
+    sd_ratio : by parameter, what remains of the standard deviations before any drive. [-]
+    reduced_sinkages, reduced_totals : reduced chi-squares of the sinkages and of the totals. [-]
     """
 
     soil: float
@@ -551,7 +600,15 @@ class Round:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AlternatingEstimate:
-    """The soil and the forces on it after the last round, the rounds, and whether they converged."""
+    """What `alternate` arrives at.
+
+    Attributes
+    ----------
+    posterior : the soil after the last round.
+    forces : loads on that soil.
+    rounds : what each round changed, the first one first.
+    verdict : see `verdict_of`.
+    """
 
     posterior: TotalsPosterior
     forces: LoadEnsemble
@@ -673,6 +730,7 @@ def balanced_states(forces: LoadEnsemble, states: PoseStates, balance_error: flo
 
 
 def _round(before: SoilBelief, result: TotalsPosterior, one: LoadEnsemble, two: LoadEnsemble) -> Round:
+    """A round from the belief `before` it, with forces `one`, to `result`, with forces `two`."""
     sd = np.sqrt(np.diag(result.belief.covariance))
     step = (result.belief.mean - before.mean) / sd
     with_forces = one.with_forces & two.with_forces

@@ -33,19 +33,23 @@ from lunarsci.twin.simulation.contact import AT_REST
 from lunarsci.twin.simulation.dynamics import assemble, eliminate, is_upright, move, note_outcomes
 
 SETTLE_ROUNDS = 300
+"""After which a rover counts as one that did not settle; assumed."""
 SETTLE_TOLERANCE = 1e-9
-# Longest move of a settling round [m or rad]: less than it takes to lift a wheel off its neighbour's plane.
+"""Largest force that is left in equilibrium, as a share of the weight."""
 LONGEST_MOVE = 0.02
-# Share of a change of the forces along the surface that a round makes: with all of it loads and forces chase each other
-# on steep ground.
+"""Longest move of a settling round [m, rad]: less than it takes to lift a wheel off its neighbour's plane."""
 CALM = 0.4
+"""Share of a change of the forces along the surface that a round makes: with all of it loads and forces chase each
+other on steep ground."""
 INFINITE = math.inf
 REST = Fields(GROUP, done=1, leaning=1, left=3, pull=3, share=9)
 """Rows of what a search for rest keeps: 1 where it has found it, 1 where the ground begins to hold the rover (see
 `lean_on`), the force in x and y and the moment about the vertical that hold it beside the wheels, the way in which it
 would start to slide and turn, and the loads of the wheels times their ways along it."""
 REST_SIZE, LEFT_AT = REST.rows * GROUP, REST.first["left"] * GROUP
+"""Length of such an array, and where `left` begins in it."""
 VELOCITY = Fields(GROUP, all=9)
+"""Rows of the nine velocities of `lunarsci.twin.simulation.dynamics`."""
 
 
 def tread(tyre: Any, override: FloatArray, work: Work) -> None:
@@ -58,7 +62,7 @@ def tread(tyre: Any, override: FloatArray, work: Work) -> None:
 def place(rover: Any, tyre: Any, grid: Any, override: Any, start: FloatArray, work: Work) -> None:
     """Put the rovers above the plane through the ground under their wheels, 1 cm deep.
 
-    `start` (GROUP, 3) is x, y, heading. Done once for a drive, and so not compiled.
+    `start` (GROUP, 3) is x, y, heading [m, m, rad]; others as in `balance`. Done once for a drive, and so not compiled.
     """
     side = np.where(np.arange(len(rover.arms)) % 2 == 0, 1.0, -1.0)
     x = rover.arms[:, 0] + rover.hung * rover.bogie[0]
@@ -158,7 +162,7 @@ def hold(work: Any, w: Any, rest: Any, lane: Any) -> None:
 
 
 def solved(matrix: Any, side: Any) -> Any:
-    """Solution of a symmetric system of three, zeros where it has none."""
+    """Solution of a symmetric system of three, its matrix by rows (9,), zeros where it has none."""
     a, b, c, _, d, e, _, _, f = matrix
     aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
     bb, bc, cc = a * f - c * c, b * c - a * e, a * d - b * b
@@ -192,7 +196,7 @@ def lean_on(work: Any, rest: Any, tolerance: float) -> None:
 
 @formula
 def start_from(work: Any, velocity: Any, lane: Any) -> None:
-    """Give the rovers a velocity (9, GROUP)."""
+    """Give the rovers a velocity, rows `VELOCITY`. (9 * GROUP,)"""
     body, given = BODY.of(work.body, lane), VELOCITY.of(velocity, lane)
     body.speed, body.spin, body.rates = given.all[:3], given.all[3:6], given.all[6:]
 
@@ -208,6 +212,8 @@ def judge(work: Any, lane: Any) -> None:
 def balance(rover: Any, tyre: Any, grid: Any, override: Any, mode: int, velocity: Any, left: Any, work: Any) -> None:
     """Bring the rovers into equilibrium at their x, y and yaw, with the forces of `mode` at `velocity` (GROUP, 9).
 
+    `rover`, `tyre` and `grid` are `Rover.vector()`, `Wheel.vector()` and `Terrain.grid()`, `override` (GROUP, 12) soil
+    and wheels of each rover, `mode` is one of `add_wheel`, and `work` a `Work` with the poses to begin with.
     Each round is a step from rest with a growing time_step_s, which turns from damped dynamics into a Newton iteration.
     Converged at 1e-9 of the weight. `left` (GROUP, 3) takes the force in x and y [N] and the moment about the vertical
     [N m] that hold the rover beside the wheels; none is left `AT_REST`, where the ground does. Outcomes in `work.code`.

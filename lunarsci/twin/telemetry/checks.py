@@ -375,7 +375,12 @@ def check_ends(telemetry: Telemetry, schedule: Schedule, longer_s: float, findin
 class _Halt(NamedTuple):
     """A standstill that the plan does not have, or of another length.
 
-    Begin and end, and when by the plan [s]; how much longer than planned [s]; whether one was planned.
+    Attributes
+    ----------
+    begin_s, end_s : by the clock of the telemetry. [s]
+    planned_s : when it is by the plan. [s]
+    longer_s : how much longer than planned. [s]
+    planned : whether one was planned.
     """
 
     begin_s: float
@@ -388,8 +393,11 @@ class _Halt(NamedTuple):
 class _CommandsAlongWay(NamedTuple):
     """Commands over the way of the rims, in rows or steps in which these move.
 
-    Time (n,) [s]; way (n,) [m]; steering [deg], or where no wheel is steered speed of each rim over their mean
-    (n, wheels); their usual speed [m/s].
+    Attributes
+    ----------
+    time_s, way_m : when, and mean way of the rims until then. (n,) [s], (n,) [m]
+    command : steering [deg], or, where no wheel is steered, speed of each rim over their mean [-]. (n, wheels)
+    speed_m_s : usual speed of the rims. [m/s]
     """
 
     time_s: FloatArray

@@ -61,7 +61,13 @@ STRETCH = 256
 
 
 class ErrorChain(NamedTuple):
-    """Errors of positions: at each node `follows` times the error before, and noise. (n, 2, 2) [-], [m2]"""
+    """Errors of positions from node to node: each is so much of the one before, and noise of its own.
+
+    Attributes
+    ----------
+    follows : matrix that the error at the node before is multiplied by. (n, 2, 2) [-]
+    noise_m2 : covariance of what is added. (n, 2, 2) [m2]
+    """
 
     follows: FloatArray
     noise_m2: FloatArray
@@ -213,9 +219,13 @@ class ProcessCandidates:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReferenceMotion:
-    """What the model is linearised about: state (n, 11) and constants (k,), and how much each measurement counts.
+    """What the model is linearised about, and how much each measurement counts.
 
-    `fix_weight` and `yaw_weight` divide the covariances of positions and headings. (n,), (n,)
+    Attributes
+    ----------
+    state : of the rover at each node. (n, 11)
+    constants : of the drive. (k,)
+    fix_weight, yaw_weight : by which the covariances of positions and of headings are divided. (n,) [-]
     """
 
     state: FloatArray
@@ -236,11 +246,15 @@ class ReferenceMotion:
 
 
 class Linear(NamedTuple):
-    """The steps and measurements about a reference.
+    """The steps and measurements about a reference, of n nodes and k constants.
 
-    `pose` maps the state before a step to the pose after it (n - 1, 3, 11), `input` the constants (n - 1, 3, k), and
-    `shift` is the rest (n - 1, 3). `seen` maps state and `by` the constants to what is measured of x, y and heading at
-    a node, `value` is that measurement: (n, 3, 11), (n, 3, k), (n, 3).
+    Attributes
+    ----------
+    pose : from the state before a step to the pose after it. (n - 1, 3, 11)
+    input : from the constants to that pose. (n - 1, 3, k)
+    shift : the rest of that pose. (n - 1, 3)
+    seen, by : from the state, and from the constants, to what is measured of x, y and heading. (n, 3, 11), (n, 3, k)
+    value : that measurement. (n, 3)
     """
 
     pose: FloatArray
@@ -344,10 +358,15 @@ def _shifted_back(nodes: Nodes, moved: FloatArray, lag_s: float) -> tuple[FloatA
 
 
 class FilterRun(NamedTuple):
-    """A filter's results: the state is `columns[..., 0]` and `columns[..., 1:]` times the constants.
+    """A filter's results, at n nodes for m assumptions and k constants.
 
-    columns (n, m, 11, 1 + k), covariance given the constants (n, m, 11, 11), squares (m, 1 + k, 1 + k): innovations
-    over their covariances, whose quadratic form in (1, constants) is chi-square; ln_likelihood (m,): the rest of it.
+    Attributes
+    ----------
+    columns : the state is `columns[..., 0]` and `columns[..., 1:]` times the constants. (n, m, 11, 1 + k)
+    covariance : of the state, given the constants. (n, m, 11, 11)
+    squares : of innovations over their covariances; their quadratic form in (1, constants) is chi-square. (m, 1 + k,
+        1 + k)
+    ln_likelihood : the part that does not depend on the constants. (m,)
     """
 
     columns: FloatArray
@@ -358,7 +377,14 @@ class FilterRun(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Model:
-    """Nodes about a reference, for m assumptions."""
+    """Nodes about a reference, for m assumptions.
+
+    Attributes
+    ----------
+    nodes, reference : the moments, and what the model is linearised about.
+    assumptions : how motion and slip may change from node to node, m of them.
+    linear : the model about the reference.
+    """
 
     nodes: Nodes
     reference: ReferenceMotion

@@ -116,9 +116,13 @@ def decided(ln_probable: Sequence[float], meanings: Sequence[str], file: str, re
 
 
 class Unit(NamedTuple):
-    """What a column may be in: a word for it, by what its numbers are multiplied, and ln of its odds beforehand.
+    """What a column may be in.
 
-    A factor of NaN leaves the column out.
+    Attributes
+    ----------
+    name : a word for it.
+    factor : by which the column's numbers are multiplied; NaN leaves the column out. [-]
+    ln_odds : ln of its odds beforehand.
     """
 
     name: str
@@ -501,7 +505,11 @@ class Priors:
 class Posterior:
     """Constants after the measurements, averaged over the sets of hypotheses that were weighed.
 
-    mean (k,), covariance (k, k), `ln_likelihood` marginal, up to a constant, and how probable each hypothesis is.
+    Attributes
+    ----------
+    mean, covariance : of the constants. (k,), (k, k)
+    ln_likelihood : ln of the marginal likelihood, up to a constant.
+    probable : probability of each hypothesis. (h,) [-]
     """
 
     mean: FloatArray

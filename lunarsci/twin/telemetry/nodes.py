@@ -53,7 +53,15 @@ def any_rim_turns(rim_m_s: FloatArray) -> BoolArray:
 
 
 class Rows(NamedTuple):
-    """Rows of telemetry, how the wheels moved between them, their steering (n, wheels) [rad], and gaps. (n - 1,)"""
+    """Rows of telemetry, and what follows from them.
+
+    Attributes
+    ----------
+    telemetry : n rows.
+    wheels : how the wheels moved between them.
+    steering_rad : of each wheel. (n, wheels) [rad]
+    gaps : steps between rows that are too long to say how the rover moved. (n - 1,)
+    """
 
     telemetry: Telemetry
     wheels: WheelMotion
@@ -331,9 +339,13 @@ def wheel_velocities(rover: Rover, nodes: Nodes, smoothed: Smoothed, held: Presc
 
 
 class Slips(NamedTuple):
-    """Slip ratio [-] and side slip [deg] with their standard errors, and the part of that of slip that all share.
+    """Slips of the wheels with their standard errors.
 
-    (n, wheels) each
+    Attributes
+    ----------
+    slip_ratio, slip_ratio_sigma : slip ratio and its error. (n, wheels) [-]
+    side_slip_deg, side_slip_deg_sigma : side slip and its error. (n, wheels) [deg]
+    slip_ratio_shared : part of the slip's error that all states share. (n, wheels) [-]
     """
 
     slip_ratio: FloatArray

@@ -44,7 +44,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 NEEDED = ("time_s", "x_m", "y_m", "yaw_deg")
+"""Columns without which a file is no telemetry."""
 ERRORS = ("xx_m2", "xy_m2", "yy_m2")
+"""Columns of the covariance of a position."""
 WHEEL = re.compile(r"(?:speed|steering|angle|rate|steered)_([A-Za-z0-9]+)_(?:m_s|deg|deg_s)")
 DEG = math.degrees(1.0)
 UNITS = {
@@ -60,6 +62,7 @@ UNIT = re.compile(rf"_({'|'.join([*UNITS, *(unit for others in UNITS.values() fo
 PLACES = ("x_m", "y_m", *ERRORS, "sigma_m")
 OF_A_WHEEL = (("angle_{}_deg", "rate_{}_deg_s", "speed_{}_m_s"), ("steered_{}_deg", "steering_{}_deg"))
 """Of each of these every wheel needs one: how it turned, and how it was steered."""
+# Words for ends and sides of a rover in names of wheels, and for covariances and clocks in logs of other software.
 _ENDS = {"f": "F", "front": "F", "r": "R", "rear": "R", "b": "R", "back": "R"}
 _SIDES = {"l": "L", "left": "L", "r": "R", "right": "R"}
 _COVARIANCES = {"0": "xx_m2", "1": "xy_m2", "7": "yy_m2", "35": "yaw_variance"}
@@ -387,7 +390,13 @@ class Finding:
 
 @dataclass(slots=True)
 class Findings:
-    """The findings of one file, each said once as a warning when it is added."""
+    """The findings of one file, each of which is a warning once, when it is added.
+
+    Attributes
+    ----------
+    file : its name.
+    entries : in the order in which they were added.
+    """
 
     file: str
     entries: list[Finding] = field(default_factory=list)
@@ -478,9 +487,15 @@ class Telemetry:
 
 
 class Positions(NamedTuple):
-    """Positions of the rover's origin from localisation, and their errors. (n,) [s], (n, 2) [m], (n, 2, 2) [m2]
+    """Positions of the rover's origin from localisation, and their errors.
 
-    `shared_m2` is the covariance of each error with that of the position before; None where errors are independent.
+    Attributes
+    ----------
+    time_s : since the start of the plan. (n,) [s]
+    place_m : x and y. (n, 2) [m]
+    covariance_m2 : of the error of each. (n, 2, 2) [m2]
+    shared_m2 : covariance of each error with that of the position before; None where errors are independent. (n, 2, 2)
+        [m2]
     """
 
     time_s: FloatArray

@@ -504,7 +504,17 @@ def _along_the_ground(
 
 
 class _FirstMotion(NamedTuple):
-    """The motion where the ground is not known yet, with a lag put back."""
+    """The motion where the ground is not known yet, with a lag put back.
+
+    Attributes
+    ----------
+    sent : rows of telemetry, positions, headings and attitude at the time of the wheels that made them.
+    nodes : the moments at which the motion is estimated.
+    rows : numbers of the nodes that are rows of `sent`.
+    smoothed : the motion at the nodes.
+    priors : of the constants of the drive.
+    lag_s : by which positions lag behind the commands. [s]
+    """
 
     sent: Rows
     nodes: Nodes

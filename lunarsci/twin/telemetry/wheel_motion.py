@@ -139,6 +139,8 @@ def resting_steps(telemetry: Telemetry) -> BoolArray:
 class _Turns(NamedTuple):
     """What tells the turn of every step and wheel.
 
+    Attributes
+    ----------
     counts, tells : whether the encoder does, and whether the rate. (n - 1, wheels)
     wraps : whole turns by which the encoder began anew. (n - 1, wheels)
     off_deg : by how much the encoder is off the rate, else the command. (n - 1, wheels) [deg]
