@@ -52,7 +52,10 @@ fitted = json.loads(lunarsci.fit((nm, np.exp(ln)), assemblage="OL-SPL").to_json(
 def matched(craters=None):
     site = {} if craters is None else {"site": "-45.44,177.56"}
     return lunarsci.match(modes="ol=0.2:0.05,opx=0.4:0.05,spl=0.4:0.05", craters=craters, **site)
+shares = folder / "shares.json"
+shares.write_text(lunarsci.unmix((nm, np.exp(ln))).to_json())
 print(json.dumps({
+    "of_shares": len(lunarsci.match(str(shares)).rows()),
     "bands": {band["mineral"]: band["strength"] for band in fitted["bands"]},
     "assumptions": list(matched().assumptions),
     "compared": {row["name"]: row["posterior"] for row in matched(str(folder / "craters.csv")).rows()},
@@ -79,6 +82,7 @@ def test_a_mineral_is_rows_of_data(tmp_path: Path) -> None:
     assert result["compared"]["A"] > 3 * result["compared"]["B"], "only spinel and olivine tell A from B"
     assert "'SPL' is no mineral that is weighed; join some of OL, OPX, CPX, PLG" in result["unmix"]
     assert result["not_weighed"] == ["spinel"]
+    assert result["of_shares"] > 1, "shares without the newcomer are matched as before"
     assert "'spl=0.5' is none of ol, opx, cpx, plg = fraction" in result["simulate"]
 
 
@@ -93,6 +97,9 @@ def test_texts_name_the_minerals_of_the_table() -> None:
 
 
 def test_rows_of_the_table_have_what_they_name() -> None:
+    assert len({*CONSTITUENTS}) == len(CONSTITUENTS), "a mineral has one row"
+    rows = [(row["band"], row["beside"]) for row in table_rows("mgm_bands.csv")]
+    assert len({*rows}) == len(rows), "a band has one row"
     bands = {row["mineral"] for row in table_rows("mgm_bands.csv")}
     assert bands - {"any"} == {*MINERALS.values()}, "an abbreviation is of a mineral with bands"
     assert {row["mineral"] for row in table_rows("end_members.csv")} <= {*MINERALS.values()}

@@ -18,7 +18,7 @@ from lunarsci.io import inputs
 from lunarsci.io.documents import json_document
 from lunarsci.io.inputs import InputFile
 from lunarsci.io.tables import table_rows
-from lunarsci.minerals import WITH_BANDS, WORDS
+from lunarsci.minerals import WEIGHED, WITH_BANDS, WORDS
 from lunarsci.ranges import NOT_NEGATIVE, POSITIVE, SHARE, check_range
 from lunarsci.spectra.rows import number
 
@@ -219,7 +219,7 @@ def measured_errors(kind: str) -> Mapping[str, float]:
     """
     squares: dict[str, dict[str, list[float]]] = {}
     for row in table_rows(ERRORS):
-        for mineral in WITH_BANDS:
+        for mineral in WEIGHED:
             if row["class"] == kind and row[f"error_{mineral}"]:
                 of_suite = squares.setdefault(mineral, {}).setdefault(row["suite"], [])
                 of_suite.append(float(row[f"error_{mineral}"]) ** 2)
