@@ -1,6 +1,7 @@
-"""The 1 um and 2 um bands, what is measured of each, and what may be said where there is none.
+"""The 1 um and 2 um bands, what is measured of each, and the sentences about those that are not there.
 
-Under which continuum each of eight spectra shows a band, if any: what is against one, and the next to be tried.
+Numbers and codes of both bands of many spectra are arrays (`BandArrays`); `NUMBER` and `CODE` name their places,
+`STATUS` the codes.
 """
 
 import math
@@ -10,8 +11,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.spectra.spectrum import wide_gap
+from lunarsci.arrays import BoolArray, FloatArray, IntArray
+from lunarsci.spectra.band_shape import BandGrid
+from lunarsci.spectra.continuum import CONTINUA, HULL, LINEAR
+from lunarsci.spectra.spectrum import reaches_over, wide_gap
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,6 +194,63 @@ SENTENCES = {
 """What the codes of `STATUSES` say."""
 
 
+FEWEST_IN_WINDOW = 14
+"""Usable channels in a band's window below which it is not measured; assumed."""
+
+
+class Places(NamedTuple):
+    """Where the bands lie among the channels.
+
+    Attributes
+    ----------
+    bands : of each, its first channel and the one behind its last, and the same of where its deepest may lie, (2, 4).
+    limits_nm, bias, least : where its centre may lie, (2, 2); see `Band`, (2,), (2,). [nm, -, -]
+    wanted : place of the wanted continuum in `CONTINUA`.
+    missing : a code of `STATUSES` where the channels cannot show it, else 0, (2,).
+    order : continua in the order in which they are tried, (3,), -1 for none.
+    low, high : first channel of all bands, and the one behind the last.
+    """
+
+    bands: IntArray
+    limits_nm: FloatArray
+    bias: FloatArray
+    least: FloatArray
+    wanted: int
+    missing: IntArray
+    order: IntArray
+    low: int
+    high: int
+
+
+def places_of(grid: BandGrid, wanted: int) -> Places:
+    """Where the bands lie among these channels, and the continua to try, the wanted one first."""
+    wavelength = grid.wavelength_nm
+    bands = [
+        [*channels_within(wavelength, band.window_nm), *channels_within(wavelength, band.centre_nm)] for band in BANDS
+    ]
+    missing = [_missing(wavelength[low:high], band) for (low, high, _, _), band in zip(bands, BANDS, strict=True)]
+    order = [which for which in dict.fromkeys((wanted, HULL, LINEAR)) if grid.ties.available[which]]
+    order += [-1] * (len(CONTINUA) - len(order))
+    limits = np.array([band.centre_nm for band in BANDS])
+    bias, least = np.array([(band.bias, band.least) for band in BANDS]).T.copy()
+    codes = np.array(missing, np.int64), np.array(order, np.int64)
+    low, high = min(band[0] for band in bands), max(band[1] for band in bands)
+    return Places(np.array(bands, np.int64), limits, bias, least, wanted, *codes, low, high)
+
+
+def channels_within(wavelength_nm: FloatArray, limits_nm: tuple[float, float]) -> tuple[int, int]:
+    """First channel within limits, and the one behind the last."""
+    low, high = limits_nm
+    return int(np.searchsorted(wavelength_nm, low)), int(np.searchsorted(wavelength_nm, high, side="right"))
+
+
+def _missing(inside_nm: FloatArray, band: Band) -> int:
+    """Code of why these channels of a window cannot show its band; 0 where they can."""
+    if inside_nm.size < FEWEST_IN_WINDOW:
+        return STATUS.too_few_channels_in_window
+    return STATUS.ok if reaches_over(inside_nm, *band.reach_nm) else STATUS.window_not_covered
+
+
 def sentence(code: int, band: Band, deepest_nm: float, wavelength_nm: FloatArray) -> str:
     """What a code says of a band of a spectrum with these usable channels (n,), deepest there. [nm, nm]"""
     low, high = band.window_nm
@@ -352,7 +412,8 @@ class BandColumns:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BandArrays:
-    """Both bands of m spectra: numbers (m, 2, 18) and codes (m, 2, 3), which `bands` has by name."""
+    """Both bands of m spectra: `numbers` (m, 2, 18) in the order of `QUANTITIES`, NaN where there is none, and `codes`
+    (m, 2, 3) in that of `CODES`; `bands` has them by name. Units are in the names."""
 
     numbers: FloatArray
     codes: Codes
