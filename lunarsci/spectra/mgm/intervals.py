@@ -143,9 +143,7 @@ def correct_coarse(target: Any, groups: IntArray, best: FloatArray) -> None:
     Means of the residuals alone leave out how noise and slopes go together within a coarse channel.
     """
     channels, coarse, logarithmic, _, precision = target[:5]
-    fine, rough = (
-        model_and_jacobian(best, wavelength, columns.T, logarithmic) for wavelength, columns, *_ in target[:2]
-    )
+    fine, rough = (model_and_jacobian(best, wavelength, basis.T, logarithmic) for wavelength, basis, *_ in target[:2])
     if fine is None or rough is None:
         return
     all_residuals, all_slopes = (channels[2] - fine[0]) * channels[3], fine[1] * channels[3]

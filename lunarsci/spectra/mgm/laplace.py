@@ -103,12 +103,12 @@ def _linearise(problem: Any, space: Any) -> Any:
     The derivatives themselves are summed: moments, which are enough to descend by, cost an error its last digits.
     """
     size, degrees, least = space.point.shape[0], problem.degrees, spread(1.0)
-    channels = (space.places, space.columns, space.data, space.roots)
+    channels = (space.offsets, space.basis, space.data, space.roots)
     for p in range(size):
         store(space.slope, p, spread(0.0))
         for q in range(p, size):
             store(space.curvature, p * size + q, spread(0.0))
-    for first in range(0, space.places.shape[0], BLOCK):
+    for first in range(0, space.offsets.shape[0], BLOCK):
         least = lowest(least, continuum_rows(channels, first, space.point, degrees, problem.logarithmic, space.work))
         gaussian_rows(channels, first, space.point, degrees, space.work)
         _derivatives(space, first, degrees)
@@ -127,7 +127,7 @@ def _derivatives(space: Any, first: int, degrees: int) -> None:
         inverse = FWHM_OVER_SIGMA / width
         by_centre = load(space.point, band + 2) * inverse * inverse
         for i in range(BLOCK):
-            shape, apart = load(space.work, row + i), load(space.places, first + i) - centre
+            shape, apart = load(space.work, row + i), load(space.offsets, first + i) - centre
             slope = shape * apart * by_centre
             store(space.work, row + i, slope)
             store(space.work, row + BLOCK + i, slope * apart / width)

@@ -353,7 +353,7 @@ class Search:
         self.grid = np.full((tile[-1] + 1, TILE, TILE), -1)
         self.grid[tile, place[:, 0], place[:, 1]] = np.arange(len(tile))
         rows, size = len(tile), model.prior.size
-        self.used = np.count_nonzero(spectra.root_weight, axis=1).astype(float)
+        self.counts = np.count_nonzero(spectra.root_weight, axis=1).astype(float)
         self.spaces: dict[int, Workspace] = {}
         self.parts: dict[int, PartModel] = {}
         self.points, self.outcomes = np.zeros((rows, size)), np.full((rows, 4), np.inf)
@@ -465,7 +465,7 @@ class Search:
         if size not in self.spaces:
             self.spaces[size] = workspace_for(size, problem.degrees, self.spectra.data.shape[1])
         descend(
-            self.spectra, self.used, problem, options, rows, points, outcomes, self.spaces[size],
+            self.spectra, self.counts, problem, options, rows, points, outcomes, self.spaces[size],
             np.empty((0, size, size)), bars,
         )  # fmt: skip
         return outcomes
