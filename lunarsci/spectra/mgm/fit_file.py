@@ -224,7 +224,7 @@ def _parts(line: str) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class _Lines:
-    """Lines of a file; their numbers begin at 1."""
+    """Lines of a file, `rows`; their numbers begin at 1. `name` is the file's in messages."""
 
     name: str
     rows: list[str]
@@ -464,11 +464,14 @@ def _continuum_prior(file: FitFile) -> tuple[MgmContinuum, FloatArray, FloatArra
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProgramParameters:
-    """Parameters as the program steps them, (p,): coefficients of the file's variable; cm^-1, nm, ln R of each band.
+    """The parameters that the program steps, (p,), as against those of `MgmModel`, called the kernel's here.
+
+    Those of the program are coefficients of powers of the file's variable, then centre, FWHM and strength of each band.
+    [cm^-1, nm, ln R] Those of the kernel are coefficients of the mapped variable, then the same. [um, um, ln R]
 
     Attributes
     ----------
-    model : whose parameters are called the kernel's here.
+    model : of the kernel's parameters.
     units : (p,) what the kernel's parameters are to be multiplied by for 1, nm, nm, ln R.
     precision : (p,) 1 / variance of the prior; 0 where there is none.
     held, values : (p,) which may not move, and what they and the others start from.
@@ -495,7 +498,7 @@ class ProgramParameters:
         m, program = self.model.degrees, kernel * self.units
         program[:m] = to_raw(self.model.continuum) @ kernel[:m]
         program[m::3] = WAVENUMBER_NM / program[m::3]
-        return self.on_planes(np.where(self.held, self.values, program))
+        return self.obeying_ties(np.where(self.held, self.values, program))
 
     def to_kernel(self, program: FloatArray) -> FloatArray:
         """The kernel's parameters of the program's."""
@@ -520,8 +523,8 @@ class ProgramParameters:
         along = free @ null_space((self.planes * self.scale)[:, ~self.held])
         return np.asarray((self.scale / self._slope(program))[:, None] * along)
 
-    def on_planes(self, program: FloatArray) -> FloatArray:
-        """The nearest parameters that obey the ties."""
+    def obeying_ties(self, program: FloatArray) -> FloatArray:
+        """The nearest parameters of the program, (p,), that obey the ties; distances are in units of `scale`."""
         if not self.tied:
             return program
         m, free, there = self.model.degrees, ~self.held, program.copy()

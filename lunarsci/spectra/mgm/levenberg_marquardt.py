@@ -54,8 +54,8 @@ CHI2, SHARE, SCALE, DAMPING, INCREASE, PREDICTED, PROMISED, TAKEN, RENEWED, TRIA
 * At the point: `CHI2` and the prior's `SHARE` of the objective, `SCALE` that multiplies chi-square while tempered.
 * `DAMPING`, and `INCREASE`, its factor when a step is refused.
 * Of the step: `PREDICTED` decrease of the objective as just solved, `PROMISED` that of the step being tried, `PIVOT`
-  least of its matrix, `CROSSED` above 0 where it was stopped at a bound.
-* `TAKEN`: 1 where the trial became the point; `RENEWED`: 1 where bounds are looked at anew; `TRIAL_SHARE`: its `SHARE`.
+  least of its matrix, `CROSSED` above 0 where it was stopped at a bound, `TRIAL_SHARE` the prior's share at the trial.
+* `TAKEN`: 1 where the trial became the point; `RENEWED`: 1 where bounds are looked at anew.
 """
 MOST_ROUNDS = 2
 """Solutions of one step while bounds are crossed; more cost more than they gain."""

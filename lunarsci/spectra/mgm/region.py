@@ -62,7 +62,8 @@ class PartModel:
     Attributes
     ----------
     index : (k,) places of its parameters among the p of the model.
-    problem : as the kernel takes it.
+    problem : as the kernel takes it, with k parameters.
+    model : the whole.
     rest, following : (p - k,) places of the others, and what they do when its parameters leave the prior, (k, p - k).
     """
 
@@ -115,7 +116,16 @@ def askers(
     grid: Any, tile: Any, place: Any, keys: Any, summary: Any, changed: Any, reach: int, most: int
 ) -> Any:  # fmt: skip
     """Pairs of a pixel and one within `reach` whose solution it tries: of `most` other kinds, where a pixel of it
-    changed, the likest."""
+    changed, the likest.
+
+    Parameters
+    ----------
+    grid : (tiles, `TILE`, `TILE`) number of the pixel at each line and sample of a tile, -1 for none.
+    tile, place : (n,) number of each pixel's tile, and (n, 2) its line and sample in that.
+    keys : (n,) kind of its solution (`kinds_of`).
+    summary : (n, s) by which spectra are compared.
+    changed : (n,) whether its solution changed in the round before.
+    """
     _, lines, samples = grid.shape
     rows, lenders = np.empty(most * keys.size, dtype=np.int64), np.empty(most * keys.size, dtype=np.int64)
     count_all, near, apart = 0, np.empty((2 * reach + 1) ** 2, dtype=np.int64), np.empty((2 * reach + 1) ** 2)
@@ -144,7 +154,11 @@ def askers(
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def likest_of(rows: Any, solved: Any, tile: Any, place: Any, data: Any, root: Any, most: int) -> Any:
-    """For each of `rows`, of the `most` nearest of `solved` in its tile, the likest; tiles ascend in `solved`."""
+    """For each of `rows`, of the `most` nearest of `solved` in its tile, the likest; tiles ascend in `solved`.
+
+    `rows` and `solved` are numbers of pixels; `tile` and `place` as in `askers`; `data` and `root`, (n, c), are ln R
+    and the root of its weight.
+    """
     result = np.empty(rows.size, dtype=np.int64)
     near, apart = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
     others = tile[solved]
@@ -172,6 +186,7 @@ def likest_of(rows: Any, solved: Any, tile: Any, place: Any, data: Any, root: An
 
 
 TILE = 32
+"""Lines, and samples, of a tile."""
 TOGETHER = 8
 """Tiles searched together in one thread, so that the lanes of the processor are busy to the end."""
 CONTEST_EVERY = 8
@@ -277,12 +292,13 @@ def _tiles(places: IndexArray, fitted: BoolArray) -> Iterator[IndexArray]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Spectra:
-    """Prepared spectra of n pixels on all channels, without weight where one cannot be used.
+    """Prepared spectra of n pixels on all channels, without weight where one cannot be used; filled by `of`.
 
     Attributes
     ----------
     groups : pixels with the same usable channels, and their spectra on these.
-    channels : ln R less `level`, (n,), and the rest, as the kernel takes them.
+    channels : ln R less `level`, and the rest, as the kernel takes them.
+    level : (n,) mean of ln R, which a model that is free of scale does without; 0 for others. [-]
     fitted : (n,) whether there are enough channels.
     """
 
@@ -341,7 +357,11 @@ class Search:
 
     Attributes
     ----------
+    spectra : of n pixels, as the kernel takes them; `counts`, (n,), of channels with weight.
+    tile, place, grid, summary : as in `askers`.
+    spaces, parts : workspaces by number of parameters, and models by kind.
     points, outcomes : (n, p), and (n, 4) chi-square, objective, iterations and status.
+    competing, competing_sigmas : (n,) as in `KernelFits`.
     origin, changed : (n,) as in `RegionFits`; whether a pixel changed in the last round.
     """
 

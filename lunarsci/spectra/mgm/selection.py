@@ -26,16 +26,24 @@ from lunarsci.spectra.mgm.result import UNLIKE_RMS, MgmFailure, MgmFit
 from lunarsci.spectra.spectrum import Spectrum
 
 NODES = 80
+"""Of the quadrature over a mineral's amount."""
 FIRST_DAMPING, STEPS = 1e-3, 8
+"""Of Levenberg's and Marquardt's descent with errors of channels that hang together."""
 LN_2PI = math.log(2.0 * math.pi)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EvidencePlace:
-    """The objective of a model at a point, where errors of channels hang together.
+    """The objective of a model at a point, where errors of channels hang together; made by `at`.
 
-    `whiten`, (n, n), makes residuals independent with unit variance; `curvature` is half the Hessian (Gauss-Newton),
-    `descent` half the negative slope. The objective is infinite where the continuum is not above 0.
+    `whiten`, (n, n), makes residuals independent with unit variance.
+
+    Attributes
+    ----------
+    point : (p,) in the order and units of `MgmModel`.
+    objective : sum of squares of the whitened residuals, and the prior's share; infinite where the continuum is not
+        above 0. [-]
+    curvature, descent : (p, p) half the Hessian (Gauss-Newton), (p,) half the negative slope; NaN there.
     """
 
     point: FloatArray
