@@ -24,6 +24,7 @@ class Band:
     Attributes
     ----------
     window_nm, centre_nm, reach_nm : its window, where its centre may lie, what a spectrum must reach. [nm]
+    key : of its names in JSON, such as `bc1000_nm`.
     others : what else absorbs nearby.
     bias : standard deviation of the bias of a minimum in the wide window, in half widths of that. [-]
     least : least standard error of a centre, times the relative error of the depth and the standard width (area over
@@ -119,7 +120,7 @@ class Statuses(NamedTuple):
 
 
 class Numbers(NamedTuple):
-    """Places of the numbers of a band: those of a `BandResult`, and what is said where it has none."""
+    """Places of the numbers of a band: those of a `BandResult`, and those that sentences on it need (`BandColumns`)."""
 
     center_nm: int = 0
     center_sigma_nm: int = 1
@@ -142,7 +143,7 @@ class Numbers(NamedTuple):
 
 
 class CodeRows(NamedTuple):
-    """Places of the codes of a band."""
+    """Places of the codes of a band; `BandColumns` says what they are."""
 
     continuum: int = 0
     status: int = 1
@@ -151,12 +152,14 @@ class CodeRows(NamedTuple):
 
 STATUS, NUMBER, CODE = Statuses(), Numbers(), CodeRows()
 STATUSES, QUANTITIES, CODES = Statuses._fields, Numbers._fields, CodeRows._fields
+"""Names of codes of a status, of numbers and of codes, in their order."""
 NO_BAND = (STATUS.too_few_deep_channels, STATUS.deepest_elsewhere, STATUS.no_minimum, STATUS.depth_within_noise)
 """Codes that say that there is none."""
 ABSENT_NM = 2300.0
 """A spectrum that ends before this does not show that there is no band at 2 um: assumed, as clinopyroxenes have minima
 up to 2380 nm (Cloutis & Gaffey 1991, 10.1029/91JE02512) and bands far wider than what would be missing. [nm]"""
 Codes = npt.NDArray[np.int8]
+"""Places in `STATUSES`, or in `CONTINUA`."""
 JSON_KEYS = {
     "center_nm": "bc{}_nm",
     "center_sigma_nm": "bc{}_sigma_nm",

@@ -488,6 +488,7 @@ def _shared(table: Any, row: int, lane: int, shifts: FloatArray) -> float:
 
 
 FEWEST_CHANNELS, MOST_CHANNELS = 20, 5000
+"""Usable channels of a spectrum."""
 BLOCK_ROWS = 2048
 """Spectra of a block, a tenth of a second of one core."""
 _NOTHING, _NAMES = np.empty(0), (*CONTINUA, "none")

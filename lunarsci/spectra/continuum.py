@@ -23,11 +23,14 @@ from lunarsci.spectra.noise import take_eight, uncounted
 ContinuumName = Literal["conic", "hull", "linear"]
 CONTINUA: tuple[ContinuumName, ...] = get_args(ContinuumName)
 CONIC, HULL, LINEAR = range(len(CONTINUA))
+"""Places in `CONTINUA`."""
 Indices = npt.NDArray[np.int64]
+"""Numbers of channels."""
 
 CONIC_TIES_NM = (700.0, 1345.0, 1580.0)
 """Tie points of the parabola of Ding et al. (2024), 10.1038/s41467-024-46233-8, Methods."""
 TERMS = len(CONIC_TIES_NM)
+"""Tie points that a continuum rests on at any one channel, at most."""
 SHOULDERS_NM = ((600.0, 850.0), (1250.0, 1650.0), (2150.0, 2600.0))
 """Where `linear` looks for its tie points; assumed, wide enough for olivine and pyroxene."""
 SMOOTHED, LEVEL, WEIGHT, NODE, TIE_ROWS = 0, 1, 1 + len(CONTINUA), 1 + len(CONTINUA) * (1 + TERMS), 14

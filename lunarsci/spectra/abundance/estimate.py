@@ -328,6 +328,7 @@ MODEL_ERROR = 0.03
 with it 68 % intervals of laboratory mixtures hold the truth in 67-75 %, all samples of their series left out of the
 library."""
 LEAST_MINERALS, MOST_SPECTRA = 2, 500
+"""Of a series of mixtures."""
 
 
 def estimate_series(

@@ -149,15 +149,21 @@ OPEN = (0.1, 0.9)
 NOTHING = 0.5
 """Probability of knowing nothing from which no share is named: the more probable."""
 FINE = np.linspace(0.0, 1.0, 201)
+"""Shares at which distributions are tabulated."""
 MAFIC = ("olivine", "orthopyroxene", "clinopyroxene")
 RATIOS = {"olivine_in_mafic": (("olivine",), MAFIC), "orthopyroxene_in_pyroxene": (("orthopyroxene",), MAFIC[1:])}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mixed:
-    """What mixtures of end members say: probabilities of `SHARES`, (n, 4, 21); what they miss, (n,); rms of ln R, (n,).
+    """What mixtures of end members say of n spectra.
 
-    `series` : whether the spectra were taken together. `trusted` : whether the end members are the user's own.
+    Attributes
+    ----------
+    probabilities : (n, 4, 21) of `SHARES` of each mineral.
+    strange, rms_ln : (n,) what mixtures miss, and root mean square of ln R less theirs.
+    series : whether the spectra were taken together.
+    trusted : whether the end members are the user's own.
     """
 
     probabilities: FloatArray

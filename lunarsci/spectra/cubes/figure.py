@@ -36,7 +36,7 @@ _ERRORS = ("_sigma", "_systematic", "_gaussian", "_method", "_low", "_high", "_i
 
 @dataclass(frozen=True, slots=True)
 class _Ground:
-    """Kilometres to the east and north that one sample and one line of a map go, in its middle; what north is."""
+    """How far one sample and one line of a map go in its middle, to the east and to the north [km]; what north is."""
 
     sample: tuple[float, float]
     line: tuple[float, float]

@@ -49,6 +49,7 @@ LARGEST, LEAST = 1e15, 1e-6
 LEAST_NM = 10.0
 """Below it a wavelength is taken for one in um: reflectance spectra are of 0.1 to 5 um."""
 Numbers = tuple[float, ...]
+"""Those of one line of a file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,6 +286,7 @@ PLOT_AXIS = (-170.0, 25.0, 10.0)
 WAVENUMBER_NM = 1e7
 """Wavenumber [cm^-1] times wavelength [nm]."""
 NARROWEST_UM = 1e-3
+"""Lower bound of widths, but for a band that a file has narrower. [um]"""
 FLATTEST = 1e9
 """Standard deviation, um or ln R, beyond which a wider one changes nothing but rounding."""
 ASSEMBLAGE = "fit file"

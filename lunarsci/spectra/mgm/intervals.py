@@ -39,7 +39,7 @@ SHORTEST, LONGEST = 0.5, 3.5
 """Lengths of trajectories in standard deviations, uniformly at random: a normal law is forgotten after pi / 2 and back,
 mirrored, after pi; the curved valleys of this model are longer."""
 MOST_LEAPS, MOST_BOUNCES = 400, 200
-"""Steps of a trajectory, and bounces in one of them, at most."""
+"""Steps of a trajectory, and bounces in one of them."""
 AT_A_STEP, SETTLING = Moves(1, 30, 0.8, mirrored=True), Moves(24, 64, 0.12, mirrored=True)
 """Trajectories of each particle at a step of beta, and before draws are kept."""
 FIRST_MOVES, FRESH = 10, 8
@@ -103,10 +103,8 @@ def _drift(target: Any, factor: Any, point: Any, momentum: Any, velocity: Any, t
 def _trajectory(
     target: Any, beta: float, factor: Any, step: float, generator: Any, point: Any, energy: Any, space: Any
 ) -> float:
-    """One Hamiltonian trajectory of `point`, (p,), accepted or not; its `energy`, (3,), follows. 1 where accepted.
-
-    `step` is the length of its steps, in standard deviations; `space` that of `run_population`.
-    """
+    """One Hamiltonian trajectory of `point`, (p,), accepted or not, in steps of `step` standard deviations; its
+    `energy`, (3,), follows. 1 where accepted."""
     trial, momentum, velocity, gradient, ending = space[2]
     free, change = target[8], 0.0
     step *= generator.uniform(0.8, 1.2)
@@ -357,11 +355,13 @@ def ratios_of(points: FloatArray, model: MgmModel, wavelength_nm: FloatArray) ->
 
 PROBABILITIES = (0.6827, 0.95)
 KINDS = ("center_nm", "strength")
+"""Parameters that have a profile where none is named."""
 CLOSE = 0.01
 """Of the root of the rise of the objective, at which an end of an interval has been found."""
 NARROW = 1e-3
 """Of the standard error: a bracket narrower than this holds a jump of the profile, from one valley to another."""
 MOST_STEPS = 30
+"""Values tried for one end of an interval."""
 LOWER_BY = 0.1
 """By how much an objective below the fit's says that the fit is not the minimum: by 5 % of its density."""
 MISFIT = 1.5
@@ -411,8 +411,7 @@ class _Profile:
 
     Attributes
     ----------
-    name, fit : of what, and the fit whose minimum it begins at.
-    best, sigma : value there, and its standard error.
+    name, fit, best, sigma : of what; the fit whose minimum it begins at; the value there and its standard error.
     low, high : bounds of the parameter.
     restricted : the model in which the parameter is held at a value.
     moved : a start, (p,), for that model, from a minimum, (p,), and the value.
@@ -564,6 +563,7 @@ DEFAULT_PARTICLES = 256
 GROUPS = 8
 """Into which the families of particles are put for R-hat."""
 LEAST_FAMILIES = 4
+"""Of particles, each from one at beta = `PARTED`; with fewer nothing says whether draws agree."""
 COARSE_UM = 0.015
 """Width of the channels that steer trajectories; a quarter of the sigma of the narrowest band."""
 CONTINUUM_SPREAD = 0.5

@@ -192,10 +192,13 @@ TOGETHER = 8
 CONTEST_EVERY = 8
 """Pixels from one contest to the next, along lines and samples; chosen by `tests/benchmarks/bench_map.py`."""
 DENSEST = 2
+"""Pixels from one contest to the next at which they become no denser."""
 RESTLESS = 0.08
 """Share of pixels of a tile that took a minimum of a neighbour, above which contests are twice as dense; assumed."""
 MOST_ROUNDS = 12
+"""Of an exchange between neighbours."""
 NEAREST = 4
+"""Solved pixels among which one looks for the likest spectrum, to start from its solution."""
 FAR, NEAR = 8, 4
 """How far, in lines and samples, a pixel looks for other kinds of solutions, and for those that are new."""
 TRIED = 3
@@ -210,6 +213,7 @@ WORTH = 0.01
 """By how much another minimum must be lower to be taken, in chi-square: that of a tenth of a standard error."""
 ORIGINS = ("single_descent", "from_neighbour", "contest", "not_fitted")
 SINGLE, NEIGHBOUR, CONTEST, NOWHERE = range(4)
+"""Where a pixel's minimum came from: one descent, a neighbour's solution, a contest from all starts, no fit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

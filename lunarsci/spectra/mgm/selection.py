@@ -175,6 +175,7 @@ DEFAULT_CHOICE_STARTS = 3
 TOGETHER = 16
 """Spectra of a block: some seconds of work."""
 LONGEST_REASON = 300
+"""Characters of the sentence on a spectrum without a choice."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -218,7 +218,15 @@ def _ascending(wavelength: FloatArray, table: SpectrumTable) -> tuple[Any, str]:
 
 @dataclass(frozen=True, slots=True)
 class _About:
-    """What is recorded of the spectrum in a row: of all alike, and its own column, unit and counts of channels."""
+    """Makes the metadata of the spectrum in a row.
+
+    Attributes
+    ----------
+    record : what is the same of all.
+    names : of their columns, or the place of one without a name, from 1.
+    units, which : ways in which columns were read, and the way of each row, a place among them, (n,).
+    counts : by what is recorded, numbers of channels, (n,).
+    """
 
     record: dict[str, Any]
     names: list[str | int]

@@ -92,7 +92,7 @@ def _relab_table(source: InputFile, rows: list[Row], width: int, comments: list[
 
 @dataclass(frozen=True, slots=True)
 class _Record:
-    """One file of the library: its set (`splib07a`), its title, and its values with their lines."""
+    """One file of the library: its set (`splib07a`), its title, its values, (n,), as written, and the line of each."""
 
     set: str
     title: str

@@ -90,6 +90,8 @@ class PdsLabel:
 
 @dataclass(slots=True)
 class _Object:
+    """An object of a PDS3 label: its name, its keys with their texts, and the objects within it."""
+
     name: str
     keys: dict[str, str] = field(default_factory=dict)
     parts: "list[_Object]" = field(default_factory=list)
