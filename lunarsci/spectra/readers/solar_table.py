@@ -39,7 +39,7 @@ _OTHER_WORDS = {"sigma", "std", "stdev", "error", "err", "unc", "uncertainty", "
 class _Table(NamedTuple):
     """Two columns of a file as they stand, (n,) each.
 
-    `length` and `per` are the units that it states, of wavelength and irradiance (keys of `_NM` and `_IRRADIANCE`), None
+    `length` and `per` are the units that it states, of wavelength and irradiance (as `_NM` and `_IRRADIANCE`), None
     where it states none; `places` say where each row is ('line 12').
     """
 
