@@ -1,7 +1,7 @@
 """Centre, depth, area and asymmetry of one absorption band in eight spectra at once, with standard errors.
 
 The centre is the minimum of a fourth-order polynomial through the deepest part of the band, of two: a wide one, which
-scatters little and is biased where the band is lopsided, and a narrow one, which is neither. They are joined with the
+scatters little and is biased where the band is asymmetric, and a narrow one, which is neither. They are joined with the
 weights of least variance, the bias of the wide one as part of its variance: so the window widens with the noise of the
 channels, not with what this noise happened to be, and its bias is in the error. Channels count by a weight that rises
 smoothly with the depth of the smoothed band, so that everything from the reflectance to the result has derivatives, the

@@ -2,7 +2,7 @@
 
 Mixing laws are weighted by their evidence; what comes out is one of the two estimates of `shares`.
 
-Spectra of one suite as mixtures of the same powders: model, objective and normal equations.
+Spectra of one sample series as mixtures of the same powders: model, objective and normal equations.
 
 ln R_j = ln R(sum_i F_ji x_i) + g_j0 + g_j1 u + g_j2 (u^2 - mean),  F_ji ~ f_ji c_i,  f_ji = a_ji^2 / sum_i a_ji^2,
 
@@ -247,10 +247,10 @@ def shares(roots: FloatArray) -> FloatArray:
 
 
 def unmix(suite: MixtureSeries) -> SharesPosterior:
-    """Fit all spectra of a suite with powders common to all.
+    """Fit all spectra of a sample series with powders common to all.
 
     One spectrum alone is started from equal shares and from each mineral in front, and the lowest minimum counts; a
-    suite from equal shares (on seven laboratory suites of 3 to 20 mixtures no other start ended lower).
+    series from equal shares (on seven laboratory series of 3 to 20 mixtures no other start ended lower).
 
     References
     ----------

@@ -11,7 +11,7 @@ pooled probabilities p of the shares are made sharper or blunter, and mixed with
 That a mineral is there has the odds that p' gives to shares above 5 %, brought to a power and multiplied.
 
 `share_calibration.csv` has the coefficients, each learned from spectra of known modes by the logarithmic score, with
-networks and end members that knew nothing of their suite; and the levels at which intervals hold 68 and 95 %.
+networks and end members that knew nothing of their sample series; and the levels at which intervals hold 68 and 95 %.
 
 Where it is asked for, shares of minerals in rocks that were brought back from the Moon are the prior: a mixture of
 Dirichlet distributions, one about each rock of `lunar_rock_modes.csv`, of parameters 1 + modes/h (Aitchison & Lauder
@@ -141,7 +141,7 @@ GOOD = 0.15
 """How near all shares must be for a good answer; assumed."""
 LIKELY = 0.7
 """Probability of each share being so near from which a spectrum is in domain; measured: then 9 in 10 had all shares so
-near, of spectra of suites left out (`share_validation.csv`)."""
+near, of spectra of sample series left out (`share_validation.csv`)."""
 SOME = float(SHARES[1])
 """Share above which a mineral counts as there: the least that the networks know."""
 OPEN = (0.1, 0.9)

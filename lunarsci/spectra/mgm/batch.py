@@ -263,6 +263,7 @@ class FitBatch:
         return [texts[k] for k in which.ravel().tolist()]
 
     def _sentence(self, status: int, iterations: int, flags: BoolArray) -> str:
+        """The status of a row; `flags` are `ambiguous`, `ratios_differ`, `beyond_trend` (k) and `strained` (bands)."""
         ambiguous, differ, far = flags[0], flags[1], flags[2:]
         if status != CONVERGED:
             return f"not converged after {iterations} iterations; try other bands, priors or another continuum"

@@ -111,6 +111,7 @@ class FitColumns:
         return result | dict.fromkeys(_between(keys[part], "continuum") for part in PARTS)
 
     def _compositions(self) -> dict[str, dict[str, Column]]:
+        """By key of the composition, the columns of a `MineralComposition`."""
         result: dict[str, dict[str, Column]] = {}
         numbers = self.fits.gathered(compositions_of)
         for k, item in enumerate(self.model.assemblage.compositions):

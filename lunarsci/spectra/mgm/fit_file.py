@@ -145,6 +145,7 @@ def _lines_of(file: FitFile) -> Iterator[tuple[int, bool, str]]:
 
 
 def _lines_of_band(band: FitBand) -> Iterator[tuple[int, bool, str]]:
+    """Rules of its two lines: which of them, 0 or 1, whether it holds, and the fault where it does not."""
     in_um = 0 < band.center_nm < LEAST_NM and abs(band.fwhm_nm) < LEAST_NM
     yield 0, _are_numbers(band.values, 3), "centre, FWHM or strength is not finite or beyond 1e15; give three numbers"
     yield 0, not abs(band.center_nm) < LEAST, "centre of 0 nm, which has no wavenumber; give another"
@@ -194,6 +195,7 @@ def read_fit_file(input: InputFile) -> FitFile:
 
 
 def _read_bands(lines: "_Lines", first: int) -> tuple[FitBand, ...]:
+    """The bands, the first of which is in line `first`, behind that of their number."""
     [count] = lines.numbers(first - 1, 1, "number of bands")
     if count < 1 or not count.is_integer():
         lines.refuse(first - 1, f"{count:g} is no number of bands; give 1 or more")

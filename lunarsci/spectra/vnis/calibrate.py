@@ -327,6 +327,7 @@ def _check_level(item: DetectorSpectrum, label: Label, id: str) -> None:
 def _spliced(
     vnir: DetectorSpectrum, swir: DetectorSpectrum, id: str, notes: _Notes, *, remove_vnir_steps: bool
 ) -> Splice:
+    """How the detectors are joined; notes take what is unusual about that."""
     try:
         splice = find_splice(
             vnir.corrected,
@@ -355,6 +356,7 @@ def _spliced(
 def _closing_remarks(
     vnir: DetectorSpectrum, swir: DetectorSpectrum, observation: Observation, settings: Settings, notes: _Notes
 ) -> None:
+    """Notes on noise, a low Sun, photometry and the observation."""
     for item in (vnir, swir):
         if item.enlarged:
             worst = f"up to {item.excess.max():.1f} times"

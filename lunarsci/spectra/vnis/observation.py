@@ -65,6 +65,7 @@ def doubts_of(label: Label) -> list[str]:
 
 
 def _of_sun(label: Label) -> str:
+    """That the label's incidence is not that of the Sun then and there; '' where it is."""
     stated = label.geometry.incidence_deg
     stated_place = math.isfinite(label.longitude_deg) and math.isfinite(label.latitude_deg)
     place = (label.longitude_deg, label.latitude_deg) if stated_place else LANDING_SITE
@@ -78,6 +79,7 @@ def _of_sun(label: Label) -> str:
 
 
 def _of_session(label: Label) -> str:
+    """That the measurement lies outside the session of the label's name; '' where it lies within."""
     try:
         first, last = (
             datetime.strptime(text, "%Y%m%d%H%M%S").replace(tzinfo=UTC) for text in (label.name.start, label.name.stop)
@@ -282,6 +284,7 @@ def _one(
     is_label: bool,
     role: str = "SCI",
 ) -> str:
+    """Path of the one file of an observation that is of a kind and a role. Raises DataError for none or several."""
     fits = [(o.version, p) for o, p in same if (o.role, o.kind, o.is_label) == (role, kind, is_label)]
     right = [p for version, p in fits if version == name.version]
     what = f"{'label' if is_label else 'data file' if role == 'SCI' else 'auxiliary table'} of its {kind} product"

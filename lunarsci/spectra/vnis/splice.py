@@ -296,6 +296,7 @@ def _carried(vnir: DetectorSpectrum, swir: DetectorSpectrum, shift: Shift, setti
 
 
 def _respliced(vnir: DetectorSpectrum, swir: DetectorSpectrum, shift: Shift, settings: Settings) -> FloatArray:
+    """The joined spectrum, (390,), with ln R of both detectors shifted; NaN where it cannot be joined any more."""
     first, second = (d.corrected * np.exp(s) for d, s in zip((vnir, swir), shift, strict=True))
     try:
         splice = find_splice(
