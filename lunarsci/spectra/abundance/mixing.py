@@ -346,7 +346,7 @@ class Powders:
 
     Attributes
     ----------
-    places : of the parameters of each mineral's shapes.
+    places : of the parameters of each mineral's shapes, among all (size,).
     sections : derivatives of the logarithm of each mineral's cross-section per volume by the parameters, (m, size).
     """
 

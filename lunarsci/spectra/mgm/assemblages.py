@@ -15,10 +15,12 @@ from lunarsci.names import meant
 GROUPS = {"pyroxene": ("OPX", "CPX")}
 """Minerals that stand for each other in a spectrum: that one of them is there may be sure where each alone is open."""
 PYROXENES = ("pyroxene", *(MINERALS[key] for key in GROUPS["pyroxene"]))
+"""Names that a pyroxene may have in an answer: of the group, and of its members."""
 SURE = 0.93
 """Probability from which something is called sure, as of `Choice.family`. Measured: 92 % of the families of 156 spectra
 are right with it, 90 % with 0.9 (`lunarsci.spectra.mgm.selection.choose`)."""
 ALONE = "no second pyroxene"
+"""What must hold for the composition of a pyroxene that was fitted alone (`Assemblage.domain`)."""
 HIDDEN = {"orthopyroxene": 0.73, "clinopyroxene": 0.26}
 """Largest share of a pyroxene in RELAB mixtures of which the comparison called the other one sure, and not this one.
 Measured: of 32 mixtures with 5 vol % or more of both, 12 were so fitted by clinopyroxene (MIX230: 73 vol %
