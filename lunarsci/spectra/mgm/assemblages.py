@@ -85,7 +85,8 @@ class BandPrior:
 class CompositionPrior:
     """What is believed of a mineral's composition before its spectrum is seen. [mol %]
 
-    `key` is `fo` of olivine, `fs` of orthopyroxene, `wo` and `fs_cpx` (iron) of clinopyroxene.
+    `key` is `fo` of olivine, `fs` of orthopyroxene, `wo` and `fs_cpx` (iron) of clinopyroxene; `mean` and `sigma` those
+    of a normal law; from `lowest` to `highest` the trend of the centres is known; `source` a key of `sources.toml`.
     """
 
     key: str
@@ -99,7 +100,10 @@ class CompositionPrior:
 
 @dataclass(frozen=True, slots=True)
 class Assemblage:
-    """A named set of bands, and the compositions that move them."""
+    """A named set of bands, in the order of their parameters, and the compositions that move them.
+
+    `name` has abbreviations of minerals, joined by hyphens: `OL-OPX`.
+    """
 
     name: str
     bands: tuple[BandPrior, ...]

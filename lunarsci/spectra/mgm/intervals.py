@@ -679,13 +679,13 @@ def _continuum_start(fit: MgmFit) -> FloatArray:
 def _target(fit: MgmFit, start: FloatArray) -> tuple[Any, ...]:
     """What `run_population` calls `target`, and `groups`."""
     model, weight, wavelength = fit.model, fit.data.weight, fit.wavelength_nm / 1e3
-    columns = np.ascontiguousarray(model.basis(fit.wavelength_nm).T)
+    basis = np.ascontiguousarray(model.basis(fit.wavelength_nm).T)
     bins = np.floor((wavelength - wavelength[0]) / COARSE_UM)
     groups = np.unique(bins, return_inverse=True)[1].astype(np.int64)
     total = np.bincount(groups, weight)
-    rows = [np.bincount(groups, weight * row) / total for row in (wavelength, *columns)]
-    fine = wavelength, columns, np.log(fit.reflectance), np.sqrt(weight)
-    coarse = rows[0], np.array(rows[1:]).reshape(len(columns), total.size), np.zeros(total.size), np.sqrt(total)
+    rows = [np.bincount(groups, weight * row) / total for row in (wavelength, *basis)]
+    fine = wavelength, basis, np.log(fit.reflectance), np.sqrt(weight)
+    coarse = rows[0], np.array(rows[1:]).reshape(len(basis), total.size), np.zeros(total.size), np.sqrt(total)
     free = np.flatnonzero(~model.fixed)
     target = (fine, coarse, model.logarithmic, model.prior, model.precision, start, model.lower, model.upper, free)
     return target, groups

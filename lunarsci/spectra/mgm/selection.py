@@ -133,12 +133,17 @@ def ln_all_negative(bands: Iterable[BandPrior]) -> float:
 
 
 def _ln_det(matrix: FloatArray) -> float:
+    """NaN where the determinant is not above 0."""
     sign, value = np.linalg.slogdet(matrix)
     return float(value) if sign > 0 else math.nan
 
 
 def _ln_volume(curvature: FloatArray, gradient: FloatArray, point: FloatArray, held: BoolArray, m: int) -> float:
-    """ln of the integral of the posterior over its value at `point`, less k/2 ln 2 pi and m/2 ln 2 pi."""
+    """ln of the integral of the posterior over its value at `point`, less k/2 ln 2 pi and m/2 ln 2 pi.
+
+    `curvature` (p, p) and `gradient` (p,), the descent, are those of an `EvidencePlace` at `point` (p,); `held` (p,) says
+    which parameters are on a bound; the first m are the continuum's.
+    """
     from scipy.special import erfcx, log_ndtr
 
     free = ~held
