@@ -141,8 +141,8 @@ def _ln_det(matrix: FloatArray) -> float:
 def _ln_volume(curvature: FloatArray, gradient: FloatArray, point: FloatArray, held: BoolArray, m: int) -> float:
     """ln of the integral of the posterior over its value at `point`, less k/2 ln 2 pi and m/2 ln 2 pi.
 
-    `curvature` (p, p) and `gradient` (p,), the descent, are those of an `EvidencePlace` at `point` (p,); `held` (p,) says
-    which parameters are on a bound; the first m are the continuum's.
+    `curvature` (p, p) and `gradient` (p,), the descent, are those of an `EvidencePlace` at `point` (p,); `held` (p,)
+    says which parameters are on a bound; the first m are the continuum's.
     """
     from scipy.special import erfcx, log_ndtr
 
