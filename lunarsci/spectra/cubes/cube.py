@@ -347,6 +347,7 @@ def _wavelengths(layout: Layout, stated: Stated) -> tuple[FloatArray, list[str]]
 
 
 def _check_order(cube: Cube) -> None:
+    """Raises DataError for wavelengths that come twice or too few good channels; warns of odd order."""
     same = np.flatnonzero(np.diff(cube.wavelength_nm) == 0)
     if same.size:
         value = cube.wavelength_nm[same[0]]

@@ -184,6 +184,7 @@ def spectra_of(table: SpectrumTable, stated: StatedUnits) -> SpectrumRows:
 
 
 def _rows_with_wavelength(table: SpectrumTable) -> tuple[SpectrumTable, int]:
+    """The table without rows that lack a wavelength, and how many these are. Raises DataError for too many."""
     file, wavelength = table.source.name, table.wavelength.values
     with np.errstate(invalid="ignore"):
         keep = np.isfinite(wavelength) & (wavelength > 0)
@@ -352,6 +353,7 @@ def _sorted(values: Any, order: IntArray) -> Any:
 
 
 def _report(spectra: SpectrumRows, counts: dict[str, IntArray], file: str) -> None:
+    """Warn of what was done to channels, by counts (n,), and of spectra without any. DataError for an only one."""
     for key, what in _REMARKS.items():
         touched = np.flatnonzero(counts[key])
         if touched.size:
