@@ -45,6 +45,7 @@ from lunarsci.spectra.abundance.result import Abundance, MineralFraction
 
 ROCK_MODES = "lunar_rock_modes.csv"
 PRIOR = "lunar-rocks"
+"""Name of the prior of rocks that were brought back, and the table of their modes."""
 RETURNED = 0.9
 """Probability that a rock is of the kinds that were returned, before its spectrum is seen; assumed."""
 POWDERS = (0.5, 0.28, 0.13, 0.09)
@@ -180,10 +181,15 @@ class Mixed:
 
 @dataclass(frozen=True, eq=False)
 class CalibratedShares:
-    """Calibrated probabilities of `SHARES` (n, 4, 21) of n spectra, and of knowing nothing, `doubt` (n,).
+    """Calibrated shares of n spectra, which `abundances` makes results of.
 
-    `weight` (n,) is that of mixtures of end members. With the prior of returned rocks `alone` is the answer without it,
-    and `returned` (n,) are the probabilities that the rocks are like those.
+    Attributes
+    ----------
+    probabilities : (n, 4, 21) of `SHARES` of each mineral of `WEIGHED`.
+    doubt : (n,) probability of knowing nothing.
+    weight : (n,) of mixtures of end members, beside networks.
+    alone, returned : with the prior of returned rocks, the answer without it, and the probabilities, (n,), that the
+        rocks are like those.
     """
 
     probabilities: FloatArray

@@ -230,6 +230,7 @@ def _shares(
     request: UnmixRequest,
     progress: Progress | None,
 ) -> list[Abundance]:
+    """Shares of spectra that have some; minerals that are not `named`, or stated to be absent, have none."""
     if not spectra:
         return []
     allowed = np.tile([float(mineral in named) for mineral in WEIGHED], (len(spectra), 1))

@@ -42,10 +42,14 @@ from lunarsci.spectra.vnis.splice import GAIN_LIMIT, STEP_LIMIT, Shift, Splice, 
 
 # What is too little, too dark or too bright to go on with: assumed, each far from what the public spectra have.
 _LEAST_LIT = 0.01
+"""Share of the field of view that must be lit; assumed."""
 _MUCH_SHADOW, _MOST_SHADOW = 0.3, 0.9
 _SWIR_PLATEAU = 3
+"""So many channels of exactly the largest radiance are clipped; assumed."""
 _GRAZING_DEG = 80.0
+"""Incidence from which small slopes change the result much; assumed."""
 _NOTED_STEP_SIGMAS = 3.0
+"""Standard errors of a step between sub-bands from which it is noted; assumed."""
 _FLAT = 0.04
 """Sunlight on the Moon varies by some 15 % (standard deviation) from 450 to 945 nm; assumed."""
 
