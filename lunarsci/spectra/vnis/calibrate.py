@@ -44,6 +44,7 @@ from lunarsci.spectra.vnis.splice import GAIN_LIMIT, STEP_LIMIT, Shift, Splice, 
 _LEAST_LIT = 0.01
 """Share of the field of view that must be lit; assumed."""
 _MUCH_SHADOW, _MOST_SHADOW = 0.3, 0.9
+"""Shares of the field of view in shadow beyond which that is noted, and the observation refused; assumed."""
 _SWIR_PLATEAU = 3
 """So many channels of exactly the largest radiance are clipped; assumed."""
 _GRAZING_DEG = 80.0
