@@ -1,8 +1,7 @@
 """Shares of spectra as mixtures of end members: alone, or together as mixtures of the same powders.
 
-Mixing laws are weighted by their evidence; what comes out is one of the two estimates of `shares`.
-
-Spectra of one sample series as mixtures of the same powders: model, objective and normal equations.
+Mixing laws are weighted by their evidence; what comes out is one of the two estimates of `shares`. The model of s
+spectra of one sample series (`MixtureSeries`):
 
 ln R_j = ln R(sum_i F_ji x_i) + g_j0 + g_j1 u + g_j2 (u^2 - mean),  F_ji ~ f_ji c_i,  f_ji = a_ji^2 / sum_i a_ji^2,
 

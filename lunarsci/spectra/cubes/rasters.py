@@ -2,16 +2,14 @@
 
 GDAL opens a file with the driver that its content names and with no other.
 
-Cubes in flat files: ENVI with its header, the Moon Mineralogy Mapper (M3) among them, and images of VNIS.
+Cubes in flat files are read here, too: ENVI with its header, the Moon Mineralogy Mapper (M3) among them, images of
+VNIS, and those that a label of the Planetary Data System describes, as of CRISM and IIRS (why no library does it is
+said in `lunarsci.spectra.readers.pds`).
 
 M3's products lie in the archive as `M3G20090203T175131_V01_RFL.IMG` (reflectance, 32-bit floats, band interleaved by
 line, -999 for no value) with a header of the same name; `..._LOC.IMG` has longitude, latitude and radius of each pixel
 (64-bit floats), `..._OBS.IMG` ten angles and distances: Green et al. (2011), J. Geophys. Res. 116, E00G19,
 10.1029/2011JE003797, and the archive's labels. Blocks of lines come through numpy's memory maps: GDAL is an extra.
-
-Cubes that a label of the Planetary Data System describes, as those of CRISM and IIRS.
-
-Why no library does it is said in `lunarsci.spectra.readers.pds`.
 """
 
 import math

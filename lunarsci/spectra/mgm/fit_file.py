@@ -7,10 +7,10 @@ line of centre [nm], FWHM [nm] and strength [ln reflectance] and a line of their
 deviations. Result files give those of a centre as the full width of its interval, which is below 0 where the interval
 reaches over the wavenumber 0. Text behind the numbers of a line is a comment, which may name a band's mineral.
 
-What the MGM program distributed by RELAB and this library say of a fit, each in the words of the other.
-
-Its coefficients are those of powers of the wavenumber [cm^-1] or of the wavelength [nm]; ours of the same variable
-mapped to -1 to 1. Its centres are wavenumbers with uncertainties whose intervals it takes and gives in wavelength.
+Below the readers is what the program and this library say of a fit, each in the words of the other: a model of a file
+(`model_of`), a file of a fit (`fit_file_of`), and the parameters of both (`ProgramParameters`). The program's
+coefficients are those of powers of the wavenumber [cm^-1] or of the wavelength [nm]; ours of the same variable mapped
+to -1 to 1. Its centres are wavenumbers with uncertainties whose intervals it takes and gives in wavelength.
 """
 
 import dataclasses

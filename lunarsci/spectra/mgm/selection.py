@@ -1,6 +1,7 @@
 """Which minerals a spectrum speaks for: every assemblage fitted, compared by evidence.
 
-How much a spectrum speaks for an assemblage: Laplace's approximation of the logarithm of the evidence.
+`choose` gives a `Choice` for each spectrum, for `spectra fit --assemblage auto`. How much a spectrum speaks for an
+assemblage is Laplace's approximation of the logarithm of the evidence (`EvidencePlace.ln_evidence`).
 """
 
 import math

@@ -1,4 +1,4 @@
-"""File names of Chang'E spectrometer products, and what they say."""
+"""File names and labels of Chang'E spectrometer products, taken apart and checked."""
 
 import math
 import re

@@ -3,9 +3,8 @@
 The cube of the VNIR detector is 100 bands of 256 x 256 pixels, 4-byte floats without a header; the tables hold
 short-wave radiances (300 rows), and auxiliary rows of the cube (100 bands).
 
-Whether what a label says of time, place and Sun can be true together, and fits the name of its file.
-
-The Sun's direction depends on nothing but time and place: an angle, a year, a hemisphere that is wrong shows, whatever
+It is checked whether what a label says of time, place and Sun can be true together, and fits the name of its file. The
+Sun's direction depends on nothing but time and place: an angle, a year, a hemisphere that is wrong shows, whatever
 else agrees with it. What shows nowhere: a time off by whole synodic months (29.5 days), which moves the Sun by a degree
 or two and changes its distance by up to 3 %, where names, labels and tables agree on it.
 """
