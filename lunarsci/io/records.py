@@ -77,7 +77,7 @@ class Records(Sequence[dict[str, Any]]):
     Attributes
     ----------
     columns : by key; a mapping is a nested object. Numbers that are not finite are None, null, or an empty cell.
-    size : how many records there are; found from the columns where left out.
+    size : how many records there are; that of the columns where left out, or -1.
 
     Raises
     ------
@@ -126,6 +126,7 @@ class Records(Sequence[dict[str, Any]]):
         """Its objects as JSON with a comma and a line between them, indented `depth` times, block by block."""
         margin = b"  " * (depth - 1)
         for number, block in enumerate(self._blocks()):
+            # Indented, a list is "[\n", its items and "\n]": without both ends blocks can follow each other.
             lines = orjson.dumps(block.tolist(), option=JSON)[2:-2]
             yield (b",\n" if number else b"") + margin + lines.replace(b"\n", b"\n" + margin)
 
@@ -237,6 +238,7 @@ def _values(column: Any, size: int) -> list[Any]:
 
 
 def _rows(columns: Iterable[Any], size: int) -> Iterable[tuple[Any, ...]]:
+    """Values of several columns, record by record."""
     return zip(*(_values(column, size) for column in columns), strict=True)
 
 
@@ -272,6 +274,7 @@ def _arrow(column: Any, size: int) -> Any:
 
 
 def _texts(values: Iterable[Any]) -> Any:
+    """A column of texts for Arrow, null where a cell is empty."""
     import pyarrow as pa
 
     return pa.array([_cell(plain(value)) for value in values], pa.string())
@@ -297,10 +300,10 @@ class RecordsInBlocks(Sequence[dict[str, Any]]):
 
     Parameters
     ----------
-    things : what records are of, one or more records each.
-    make : the records of some things, next to each other, under the same names whichever these are.
-    size : how many records there are; as many as things where left out.
-    rows : things of a block.
+    things : how many things, such as spectra, the records are of; each has one record or more.
+    make : the records of things from a range of their numbers, under the same names whichever these are.
+    size : how many records there are of all things.
+    rows : how many things are made records of at once.
     """
 
     def __init__(self, things: int, make: Callable[[range], Records], size: int, rows: int) -> None:
@@ -352,7 +355,7 @@ class RecordsInBlocks(Sequence[dict[str, Any]]):
 def in_blocks(
     things: int, make: Callable[[range], Records], size: int | None = None, rows: int = BLOCK_THINGS
 ) -> Records | RecordsInBlocks:
-    """Records as `RecordsInBlocks` has them, or as they are where one block holds them all."""
+    """`RecordsInBlocks`, or plain `Records` where one block has room for all; `size` is `things` where left out."""
     if things <= rows:
         return make(range(things))
     return RecordsInBlocks(things, make, things if size is None else size, rows)

@@ -1,7 +1,7 @@
 """Centre, depth, area and asymmetry of one absorption band in eight spectra at once, with standard errors.
 
 The centre is the minimum of a fourth-order polynomial through the deepest part of the band, of two: a wide one, which
-scatters little and is biased where the band is lopsided, and a narrow one, which is neither. They are joined with the
+scatters little and is biased where the band is asymmetric, and a narrow one, which is neither. They are joined with the
 weights of least variance, the bias of the wide one as part of its variance: so the window widens with the noise of the
 channels, not with what this noise happened to be, and its bias is in the error. Channels count by a weight that rises
 smoothly with the depth of the smoothed band, so that everything from the reflectance to the result has derivatives, the
@@ -23,7 +23,9 @@ from lunarsci.spectra.noise import uncounted
 
 ORDER = 4
 SIZE = ORDER + 1
+"""Degree of the polynomials, and their number of coefficients."""
 SEARCH = np.linspace(-1.0, 1.0, 161)
+"""Points x of a window, -1 and 1 at its ends, among which minima are looked for before Newton's steps."""
 STEP = float(SEARCH[1] - SEARCH[0])
 NEWTON_STEPS = 6
 LEAST_PIVOT = 1e-15
@@ -37,13 +39,19 @@ CHOSEN = len(CONTINUA)
 """Place behind the continua: of the one that each spectrum is measured under."""
 CURVE, PER_LEVEL, ROWS = (RATIO + k * (CHOSEN + 1) for k in (1, 2, 3))
 """Rows, n of each, of the table (ROWS n, 8) that eight spectra of n channels are worked on in, behind those of their
-continua.
+continua (`lunarsci.spectra.continuum`).
 
-Reflectance, one standard deviation; of a window's channels whether they are in it, x, depth over the deepest, weight
-and its derivative to that, residual of the polynomial; derivatives to both ratios and to the
-smoothed reflectance; derivatives to each reflectance of what their names say; nodes and weights of the spectrum's own
-continuum; by continuum and for the own one reflectance and smoothed reflectance over the level, and one over it (or 1
-where it is not above 0).
+* `VALUES`, `NOISE`: reflectance, and one standard deviation of it.
+* `IN`, `X`, `SHARE`, `HEFT`, `HEFT_SLOPE`, `RESIDUAL`, of a window's channels: 1 for those in it; wavelength, -1 to 1
+  over the window; depth over the deepest; weight, and its derivative to that share; ratio less polynomial.
+* `OF_RATIO`, `OF_CURVE`, `ONTO`: derivatives of some quantity to the ratio, to the smoothed ratio, and to the smoothed
+  reflectance.
+* `WIDE_NM`, `WIDE_DEPTH`, `NARROW_NM`, `NARROW_DEPTH`, `SPARE`, `AREA`, `ASYMMETRY`: derivatives to each reflectance of
+  centre and depth in the two windows, of what is needed for a moment, of area and asymmetry.
+* `CHOSEN_NODE`, `CHOSEN_WEIGHT`: nodes, and weights of the three terms, of the continuum that a spectrum is measured
+  under.
+* `RATIO`, `CURVE`, `PER_LEVEL`, of each continuum and, as the fourth, of the chosen one: reflectance and smoothed
+  reflectance over the level, and 1 over the level (or 1 where it is not above 0).
 """
 MOMENTS, RIGHT, COEFFICIENTS, SOLVED, FACTOR = 0, 2 * SIZE, 3 * SIZE, 4 * SIZE, 5 * SIZE
 (
@@ -51,17 +59,33 @@ MOMENTS, RIGHT, COEFFICIENTS, SOLVED, FACTOR = 0, 2 * SIZE, 3 * SIZE, 4 * SIZE, 
 ) = range(FACTOR + SIZE * SIZE, FACTOR + SIZE * SIZE + 12)  # fmt: skip
 OF_TERM = INNER + 1
 OF_SHAPE = OF_TERM + TERMS
-"""Rows of a second table (rows, 8): sums, right side, coefficients, solution and factor of the normal equations, and
-whether they determine a polynomial; x of its lowest and second lowest minimum, and whether there are such; of a window
-its greatest depth, and at which channel; its ends, its middle and half its width [nm]; whether the deepest channel lies
-within the range it is looked for in, and not at its edge, and there are enough of them; sums over terms."""
+"""Rows of the second table, `BandWork.scalars`.
+
+* `RIGHT`, `COEFFICIENTS`, `FACTOR`: right side, coefficients and factor of the normal equations; `DETERMINED`, above 0
+  where they determine a polynomial. Rows of `MOMENTS` and `SOLVED` are not in use.
+* `LOWEST`, `SECOND`: x of its lowest and second lowest minimum; `HAS_MINIMUM`, `RIVALLED`: above 0 where there is one.
+* `DEPTH_HERE`, `PLACE`: greatest depth in a window, and at which channel; `FIRST`, `LAST`: its first and last channel;
+  `MIDDLE_NM`, `HALF_NM`: its middle and half its width. [nm]
+* `INNER`: above 0 where the deepest channel lies within the range it is looked for in, not at its edge, and there are
+  enough of them.
+* `OF_TERM`: derivatives of some quantity to the level at the tie point of each term.
+"""
 
 
 class BandWork(NamedTuple):
-    """What eight spectra are worked on in: both tables, the channels of terms, and room for one spectrum."""
+    """What eight spectra of n channels are worked on in; all of it is overwritten by the next eight.
 
-    t: FloatArray
-    k: FloatArray
+    Attributes
+    ----------
+    table : (ROWS n, 8) what has a number at each channel: row `VALUES` n + j is the reflectance at channel j.
+    scalars : (rows, 8) what has one number for each spectrum, at rows such as `SHAPE_NM`; `lunarsci.spectra.bands`
+        has more rows behind those named here.
+    tie : (4, 3, 8) channel of each term of the three continua, and of the chosen one.
+    nodes, room : (n,) channels of the hull, and values, of one spectrum at a time (`tables_of`).
+    """
+
+    table: FloatArray
+    scalars: FloatArray
     tie: Indices
     nodes: Indices
     room: FloatArray
@@ -69,17 +93,22 @@ class BandWork(NamedTuple):
 
 @formula
 def polynomial(x: Any, c0: Any, c1: Any, c2: Any, c3: Any, c4: Any) -> Any:
+    """c0 + c1 x + … + c4 x^4."""
     return c0 + x * (c1 + x * (c2 + x * (c3 + x * c4)))
 
 
 @uncounted
-def fit(t: Any, k: Any, ratio: int, first: int, behind: int, count: int) -> None:
-    """Weighted least-squares polynomial of a ratio: factor of its normal matrix, coefficients, residuals."""
+def fit(table: Any, scalars: Any, ratio: int, first: int, behind: int, count: int) -> None:
+    """Weighted least-squares polynomial of a ratio: factor of its normal matrix, coefficients, residuals.
+
+    `ratio` is the row of the ratio, of `count` channels; those from `first` to before `behind` are fitted. m_i are the
+    sums of weight x^i, r_i those of weight x^i ratio.
+    """
     m0, m1, m2, m3, m4 = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
     m5, m6, m7, m8 = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
     r0, r1, r2, r3, r4 = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
     for j in range(first, behind):
-        x, power, value = load(t, X * count + j), load(t, HEFT * count + j), load(t, ratio * count + j)
+        x, power, value = load(table, X * count + j), load(table, HEFT * count + j), load(table, ratio * count + j)
         m0, r0 = m0 + power, r0 + power * value
         power = power * x
         m1, r1 = m1 + power, r1 + power * value
@@ -96,20 +125,20 @@ def fit(t: Any, k: Any, ratio: int, first: int, behind: int, count: int) -> None
         power = power * x
         m7 += power
         m8 += power * x
-    _factored(k, m0, m1, m2, m3, m4, m5, m6, m7, m8)
-    c0, c1, c2, c3, c4 = solved(k, r0, r1, r2, r3, r4)
-    store(k, COEFFICIENTS, c0)
-    store(k, COEFFICIENTS + 1, c1)
-    store(k, COEFFICIENTS + 2, c2)
-    store(k, COEFFICIENTS + 3, c3)
-    store(k, COEFFICIENTS + 4, c4)
+    _factored(scalars, m0, m1, m2, m3, m4, m5, m6, m7, m8)
+    c0, c1, c2, c3, c4 = solved(scalars, r0, r1, r2, r3, r4)
+    store(scalars, COEFFICIENTS, c0)
+    store(scalars, COEFFICIENTS + 1, c1)
+    store(scalars, COEFFICIENTS + 2, c2)
+    store(scalars, COEFFICIENTS + 3, c3)
+    store(scalars, COEFFICIENTS + 4, c4)
     for j in range(first, behind):
-        fitted = polynomial(load(t, X * count + j), c0, c1, c2, c3, c4)
-        store(t, RESIDUAL * count + j, load(t, ratio * count + j) - fitted)
+        fitted = polynomial(load(table, X * count + j), c0, c1, c2, c3, c4)
+        store(table, RESIDUAL * count + j, load(table, ratio * count + j) - fitted)
 
 
 @formula
-def _factored(k: Any, m0: Any, m1: Any, m2: Any, m3: Any, m4: Any, m5: Any, m6: Any, m7: Any, m8: Any) -> None:
+def _factored(scalars: Any, m0: Any, m1: Any, m2: Any, m3: Any, m4: Any, m5: Any, m6: Any, m7: Any, m8: Any) -> None:
     """The normal matrix as L D L^T into FACTOR, 1/D on its diagonal, and whether it is regular."""
     moments = (m0, m1, m2, m3, m4, m5, m6, m7, m8)
     pivots: list[Any] = []
@@ -123,36 +152,37 @@ def _factored(k: Any, m0: Any, m1: Any, m2: Any, m3: Any, m4: Any, m5: Any, m6: 
             if i == j:
                 pivots.append(total)
                 regular = regular & (total > moments[2 * i] * LEAST_PIVOT)
-                store(k, FACTOR + i * SIZE + i, 1.0 / total)
+                store(scalars, FACTOR + i * SIZE + i, 1.0 / total)
             else:
-                below[i, j] = total * load(k, FACTOR + j * SIZE + j)
-                store(k, FACTOR + i * SIZE + j, below[i, j])
-    store(k, DETERMINED, choose(regular, 1.0, 0.0))
+                below[i, j] = total * load(scalars, FACTOR + j * SIZE + j)
+                store(scalars, FACTOR + i * SIZE + j, below[i, j])
+    store(scalars, DETERMINED, choose(regular, 1.0, 0.0))
 
 
 @formula
-def solved(k: Any, r0: Any, r1: Any, r2: Any, r3: Any, r4: Any) -> Any:
+def solved(scalars: Any, r0: Any, r1: Any, r2: Any, r3: Any, r4: Any) -> Any:
     """What the normal matrix makes a right side of."""
     out = [r0, r1, r2, r3, r4]
     for i in range(SIZE):
         for j in range(i):
-            out[i] = out[i] - load(k, FACTOR + i * SIZE + j) * out[j]
+            out[i] = out[i] - load(scalars, FACTOR + i * SIZE + j) * out[j]
     for i in range(ORDER, -1, -1):
-        out[i] = out[i] * load(k, FACTOR + i * SIZE + i)
+        out[i] = out[i] * load(scalars, FACTOR + i * SIZE + i)
         for j in range(i + 1, SIZE):
-            out[i] = out[i] - load(k, FACTOR + j * SIZE + i) * out[j]
+            out[i] = out[i] - load(scalars, FACTOR + j * SIZE + i) * out[j]
     return tuple(out)
 
 
 @formula
-def value_at(k: Any, x: Any) -> Any:
+def value_at(scalars: Any, x: Any) -> Any:
     """The fitted polynomial at x."""
-    return polynomial(x, *(load(k, COEFFICIENTS + power) for power in range(SIZE)))
+    return polynomial(x, *(load(scalars, COEFFICIENTS + power) for power in range(SIZE)))
 
 
 @formula
-def curvature_at(k: Any, x: Any) -> Any:
-    c2, c3, c4 = (load(k, COEFFICIENTS + power) for power in (2, 3, 4))
+def curvature_at(scalars: Any, x: Any) -> Any:
+    """Second derivative of the fitted polynomial at x."""
+    c2, c3, c4 = (load(scalars, COEFFICIENTS + power) for power in (2, 3, 4))
     return c2 * 2.0 + x * (c3 * 6.0 + x * c4 * 12.0)
 
 
@@ -169,29 +199,29 @@ def _sorted_in(
 
 
 @uncounted
-def minima(k: Any) -> None:
+def minima(scalars: Any) -> None:
     """x of the lowest and the second lowest minimum within the window, -1 to 1, and whether there are such."""
     first, second, least, next_least = spread(0.0), spread(0.0), spread(np.inf), spread(np.inf)
-    before, here = value_at(k, spread(SEARCH[0])), value_at(k, spread(SEARCH[1]))
+    before, here = value_at(scalars, spread(SEARCH[0])), value_at(scalars, spread(SEARCH[1]))
     for place in range(1, SEARCH.size - 1):
-        behind = value_at(k, spread(SEARCH[place + 1]))
+        behind = value_at(scalars, spread(SEARCH[place + 1]))
         first, second, least, next_least = _sorted_in(
             before, here, behind, SEARCH[place], first, second, least, next_least
         )
         before, here = here, behind
-    store(k, LOWEST, _polished(k, first))
-    store(k, SECOND, _polished(k, second))
-    store(k, HAS_MINIMUM, choose(np.inf - least, load(k, DETERMINED), spread(0.0)))
-    store(k, RIVALLED, choose(np.inf - next_least, load(k, HAS_MINIMUM), spread(0.0)))
+    store(scalars, LOWEST, _polished(scalars, first))
+    store(scalars, SECOND, _polished(scalars, second))
+    store(scalars, HAS_MINIMUM, choose(np.inf - least, load(scalars, DETERMINED), spread(0.0)))
+    store(scalars, RIVALLED, choose(np.inf - next_least, load(scalars, HAS_MINIMUM), spread(0.0)))
 
 
 @formula
-def _polished(k: Any, start: Any) -> Any:
+def _polished(scalars: Any, start: Any) -> Any:
     """Newton's steps to the zero of the derivative, no farther than the next point of the search."""
-    c1, c2, c3, c4 = (load(k, COEFFICIENTS + power) for power in (1, 2, 3, 4))
+    c1, c2, c3, c4 = (load(scalars, COEFFICIENTS + power) for power in (1, 2, 3, 4))
     x = start
     for _ in range(NEWTON_STEPS):
-        curvature = curvature_at(k, x)
+        curvature = curvature_at(scalars, x)
         slope = c1 + x * (c2 * 2.0 + x * (c3 * 3.0 + x * c4 * 4.0))
         moved = lowest(highest(x - slope / curvature, start - STEP), start + STEP)
         x = choose(curvature, moved, x)
@@ -228,85 +258,93 @@ class BandGrid(NamedTuple):
 
 
 @uncounted
-def smooth(g: Smoother, t: Any, source: int, out: int) -> None:
+def smooth(smoother: Smoother, table: Any, source: int, out: int) -> None:
     """Rows from `out` on take what the operator makes of those from `source` on."""
-    firsts, weights = g
+    firsts, weights = smoother
     for j in range(firsts.size):
         first, total = source + firsts[j], spread(0.0)
         for m in range(weights.shape[1]):
-            total += load(t, first + m) * weights[j, m]
-        store(t, out + j, total)
+            total += load(table, first + m) * weights[j, m]
+        store(table, out + j, total)
 
 
 @formula
 def _along(along: Any, residual: Any, slope: Any, heft: Any, share: Any, per_depth: Any, total: Any) -> Any:
+    """Derivatives to the ratio and the smoothed ratio at one channel, and the sum of those to the deepest depth."""
     of_share = along * residual * slope * per_depth
     return along * heft, -of_share, total + of_share * share
 
 
 @uncounted
-def slopes(g: BandGrid, work: BandWork, first: int, behind: int, out: int) -> Any:
+def slopes(grid: BandGrid, work: BandWork, first: int, behind: int, out: int) -> Any:
     """Derivatives to each reflectance, into rows, of a quantity whose derivatives to the coefficients are in RIGHT; its
     variance."""
-    t, k, count = work.t, work.k, g.wavelength_nm.size
+    table, scalars, count = work.table, work.scalars, grid.wavelength_nm.size
     s0, s1, s2, s3, s4 = solved(
-        k, load(k, RIGHT), load(k, RIGHT + 1), load(k, RIGHT + 2), load(k, RIGHT + 3), load(k, RIGHT + 4)
+        scalars,
+        load(scalars, RIGHT),
+        load(scalars, RIGHT + 1),
+        load(scalars, RIGHT + 2),
+        load(scalars, RIGHT + 3),
+        load(scalars, RIGHT + 4),
     )
-    per_depth, total = 1.0 / load(k, DEPTH_HERE), spread(0.0)
+    per_depth, total = 1.0 / load(scalars, DEPTH_HERE), spread(0.0)
     for j in range(first, behind):
         of_ratio, of_curve, total = _along(
-            polynomial(load(t, X * count + j), s0, s1, s2, s3, s4), load(t, RESIDUAL * count + j),
-            load(t, HEFT_SLOPE * count + j), load(t, HEFT * count + j), load(t, SHARE * count + j), per_depth, total,
+            polynomial(load(table, X * count + j), s0, s1, s2, s3, s4), load(table, RESIDUAL * count + j),
+            load(table, HEFT_SLOPE * count + j), load(table, HEFT * count + j), load(table, SHARE * count + j),
+            per_depth, total,
         )  # fmt: skip
-        store(t, OF_RATIO * count + j, of_ratio)
-        store(t, OF_CURVE * count + j, of_curve)
-    return per_channel(g, work, first, behind, out, total)
+        store(table, OF_RATIO * count + j, of_ratio)
+        store(table, OF_CURVE * count + j, of_curve)
+    return per_channel(grid, work, first, behind, out, total)
 
 
 @uncounted
-def per_channel(g: BandGrid, work: BandWork, first: int, behind: int, out: int, of_deepest: Any) -> Any:
+def per_channel(grid: BandGrid, work: BandWork, first: int, behind: int, out: int, of_deepest: Any) -> Any:
     """Derivatives to both ratios, OF_RATIO and OF_CURVE, into derivatives to the reflectance; the variance.
 
     `of_deepest` is a derivative to the smoothed ratio at the deepest channel, besides.
     """
-    t, k, count = work.t, work.k, g.wavelength_nm.size
-    place, one, two, three = load(k, PLACE), spread(0.0), spread(0.0), spread(0.0)
+    table, scalars, count = work.table, work.scalars, grid.wavelength_nm.size
+    place, one, two, three = load(scalars, PLACE), spread(0.0), spread(0.0), spread(0.0)
     for j in range(first, behind):
         onto, of_level, direct = _parts(
-            load(t, OF_RATIO * count + j), load(t, OF_CURVE * count + j), load(t, (RATIO + CHOSEN) * count + j),
-            load(t, (CURVE + CHOSEN) * count + j), load(t, (PER_LEVEL + CHOSEN) * count + j), of_deepest, place,
-            float(j),
+            load(table, OF_RATIO * count + j), load(table, OF_CURVE * count + j),
+            load(table, (RATIO + CHOSEN) * count + j), load(table, (CURVE + CHOSEN) * count + j),
+            load(table, (PER_LEVEL + CHOSEN) * count + j), of_deepest, place, float(j),
         )  # fmt: skip
-        node = load(t, CHOSEN_NODE * count + j)
-        two += of_level * load(t, (CHOSEN_WEIGHT + 1) * count + j)
-        three += of_level * load(t, (CHOSEN_WEIGHT + 2) * count + j)
-        store(t, out * count + j, direct)
-        store(t, OF_RATIO * count + j, of_level)
-        store(t, ONTO * count + j, onto + node * two)
+        node = load(table, CHOSEN_NODE * count + j)
+        two += of_level * load(table, (CHOSEN_WEIGHT + 1) * count + j)
+        three += of_level * load(table, (CHOSEN_WEIGHT + 2) * count + j)
+        store(table, out * count + j, direct)
+        store(table, OF_RATIO * count + j, of_level)
+        store(table, ONTO * count + j, onto + node * two)
         two = choose(node, spread(0.0), two)
     for j in range(behind, count):
-        node = load(t, CHOSEN_NODE * count + j)
-        store(t, out * count + j, spread(0.0))
-        store(t, ONTO * count + j, node * two)
+        node = load(table, CHOSEN_NODE * count + j)
+        store(table, out * count + j, spread(0.0))
+        store(table, ONTO * count + j, node * two)
         two = choose(node, spread(0.0), two)
     for j in range(behind - 1, first - 1, -1):
-        node = load(t, CHOSEN_NODE * count + j)
-        one += load(t, OF_RATIO * count + j) * load(t, CHOSEN_WEIGHT * count + j)
-        store(t, ONTO * count + j, load(t, ONTO * count + j) + node * one)
+        node = load(table, CHOSEN_NODE * count + j)
+        one += load(table, OF_RATIO * count + j) * load(table, CHOSEN_WEIGHT * count + j)
+        store(table, ONTO * count + j, load(table, ONTO * count + j) + node * one)
         one = choose(node, spread(0.0), one)
     for j in range(first - 1, -1, -1):
-        node = load(t, CHOSEN_NODE * count + j)
-        store(t, out * count + j, spread(0.0))
-        store(t, ONTO * count + j, node * one)
+        node = load(table, CHOSEN_NODE * count + j)
+        store(table, out * count + j, spread(0.0))
+        store(table, ONTO * count + j, node * one)
         one = choose(node, spread(0.0), one)
     _to_ties(work, one, two, three, count)
-    return _smoothed_back(g.adjoint, t, out)
+    return _smoothed_back(grid.adjoint, table, out)
 
 
 @formula
 def _parts(
     of_ratio: Any, of_curve: Any, ratio: Any, curve: Any, per_level: Any, of_deepest: Any, place: Any, j: Any
 ) -> Any:
+    """Derivatives to smoothed reflectance, level and reflectance at channel j from those to the two ratios there."""
     of_curve = of_curve + choose(abs(place - j) < 0.5, of_deepest, 0.0)
     return of_curve * per_level, -(of_ratio * ratio + of_curve * curve) * per_level, of_ratio * per_level
 
@@ -314,26 +352,26 @@ def _parts(
 @uncounted
 def _to_ties(work: BandWork, one: Any, two: Any, three: Any, count: int) -> None:
     """What derivatives to the level give to the channels of the continuum's terms; the hull's nodes have theirs."""
-    t, k, tie = work.t, work.k, work.tie[CHOSEN]
-    store(k, OF_TERM, one)
-    store(k, OF_TERM + 1, two)
-    store(k, OF_TERM + 2, three)
+    table, scalars, tie = work.table, work.scalars, work.tie[CHOSEN]
+    store(scalars, OF_TERM, one)
+    store(scalars, OF_TERM + 1, two)
+    store(scalars, OF_TERM + 2, three)
     for term in range(TERMS):
         for lane in range(LANES):
-            t[ONTO * count + tie[term, lane], lane] += k[OF_TERM + term, lane]
+            table[ONTO * count + tie[term, lane], lane] += scalars[OF_TERM + term, lane]
 
 
 @uncounted
-def _smoothed_back(g: Smoother, t: Any, out: int) -> Any:
+def _smoothed_back(smoother: Smoother, table: Any, out: int) -> Any:
     """Add what the smoothed reflectance of other channels takes from each; the variance."""
-    firsts, weights = g
+    firsts, weights = smoother
     count, variance = firsts.size, spread(0.0)
     for j in range(count):
-        first, total = ONTO * count + firsts[j], load(t, out * count + j)
+        first, total = ONTO * count + firsts[j], load(table, out * count + j)
         for m in range(weights.shape[1]):
-            total += load(t, first + m) * weights[j, m]
-        store(t, out * count + j, total)
-        off = total * load(t, NOISE * count + j)
+            total += load(table, first + m) * weights[j, m]
+        store(table, out * count + j, total)
+        off = total * load(table, NOISE * count + j)
         variance += off * off
     return variance
 
@@ -348,20 +386,22 @@ FEWEST_CHANNELS = 8.0
 """Where fewer are in the wide window, shares half as large are used, and the narrow one not at all: coarse channels.
 Assumed."""
 LEAST_DEPTH = 1e-6
+"""Depth below which there is none, so that nothing is divided by 0; assumed."""
 
 
 @formula
 def _deeper(value: Any, j: Any, least: Any, place: Any) -> Any:
+    """Least value so far, and its channel, with channel j taken in."""
     below = value < least
     return choose(below, value, least), choose(below, j, place)
 
 
 @uncounted
-def deepest_of(t: Any, curve: int, low: int, high: int, count: int) -> Any:
+def deepest_of(table: Any, curve: int, low: int, high: int, count: int) -> Any:
     """The lowest value of a curve, and its channel, the first where there are several."""
-    least, place = load(t, curve * count + low), spread(float(low))
+    least, place = load(table, curve * count + low), spread(float(low))
     for j in range(low + 1, high):
-        least, place = _deeper(load(t, curve * count + j), float(j), least, place)
+        least, place = _deeper(load(table, curve * count + j), float(j), least, place)
     return least, place
 
 
@@ -373,68 +413,72 @@ def _goes_on(value: Any, j: Any, place: Any, below: Any, alive: Any) -> Any:
 
 
 @uncounted
-def _connected(t: Any, k: Any, curve: int, band: IntArray, below: Any, count: int) -> Any:
+def _connected(table: Any, scalars: Any, curve: int, band: IntArray, below: Any, count: int) -> Any:
     """Which channels are connected with the deepest one, below a level; how many they are."""
-    place = load(k, PLACE)
+    place = load(scalars, PLACE)
     alive, number, end = spread(0.0), spread(0.0), spread(0.0)
     for j in range(band[0], band[1]):
-        alive = _goes_on(load(t, curve * count + j), float(j), place, below, alive)
+        alive = _goes_on(load(table, curve * count + j), float(j), place, below, alive)
         end = choose(alive, spread(float(j)), end)
-        store(t, IN * count + j, alive)
-    store(k, LAST, end)
+        store(table, IN * count + j, alive)
+    store(scalars, LAST, end)
     alive = spread(0.0)
     for j in range(band[1] - 1, band[0] - 1, -1):
-        alive = _goes_on(load(t, curve * count + j), float(j), place, below, alive)
+        alive = _goes_on(load(table, curve * count + j), float(j), place, below, alive)
         end = choose(alive, spread(float(j)), end)
-        inside = highest(alive, load(t, IN * count + j))
+        inside = highest(alive, load(table, IN * count + j))
         number += inside
-        store(t, IN * count + j, inside)
-    store(k, FIRST, end)
+        store(table, IN * count + j, inside)
+    store(scalars, FIRST, end)
     return number
 
 
 @uncounted
-def has_any(k: Any, row: int) -> bool:
+def has_any(scalars: Any, row: int) -> bool:
+    """Whether a row is above 0 in any lane."""
     there = False
     for lane in range(LANES):
-        there = there or k[row, lane] > 0.0
+        there = there or scalars[row, lane] > 0.0
     return there
 
 
 @uncounted
-def window_of(g: BandGrid, work: BandWork, which: int, band: IntArray, low: float, high: float, wide: bool) -> Any:
+def window_of(grid: BandGrid, work: BandWork, which: int, band: IntArray, low: float, high: float, wide: bool) -> Any:
     """The channels that are connected with the deepest one and deep enough; their weights into HEFT.
 
-    SHARE takes the depth over the deepest, X the scaled wavelength, HEFT_SLOPE the derivative of the weight
-    to the share. Returns the first channel that any of the eight has, and the one behind the last.
+    `which` is the ratio's place among the continua, or CHOSEN; `band` a row of `Places.bands`; a channel's weight rises
+    from 0 at `low` of the greatest depth to 1 at `high`. SHARE takes the depth over the deepest, X the scaled
+    wavelength, HEFT_SLOPE the derivative of the weight to the share. Returns the first channel that any of the eight
+    has, and the one behind the last.
     """
-    t, k, wavelength_nm, count = work.t, work.k, g.wavelength_nm, g.wavelength_nm.size
+    table, scalars, wavelength_nm, count = work.table, work.scalars, grid.wavelength_nm, grid.wavelength_nm.size
     curve = CURVE + which
-    least, place = deepest_of(t, curve, band[2], band[3], count)
+    least, place = deepest_of(table, curve, band[2], band[3], count)
     most = highest(1.0 - least, spread(LEAST_DEPTH))
-    store(k, PLACE, place)
-    store(k, DEPTH_HERE, most)
+    store(scalars, PLACE, place)
+    store(scalars, DEPTH_HERE, most)
     part = spread(1.0)
-    number = _connected(t, k, curve, band, 1.0 - most * (part * low), count)
+    number = _connected(table, scalars, curve, band, 1.0 - most * (part * low), count)
     if wide:
         part = choose(FEWEST_CHANNELS - number, spread(0.5), part)
-        store(k, INNER, 0.75 - part)
-        if has_any(k, INNER):
-            number = _connected(t, k, curve, band, 1.0 - most * (part * low), count)
+        store(scalars, INNER, 0.75 - part)
+        if has_any(scalars, INNER):
+            number = _connected(table, scalars, curve, band, 1.0 - most * (part * low), count)
     within = choose(place - float(band[2]), choose(float(band[3] - 1) - place, spread(1.0), spread(0.0)), spread(0.0))
-    store(k, INNER, choose(number - (FEWEST_CHANNELS - 0.5), within, spread(0.0)))
+    store(scalars, INNER, choose(number - (FEWEST_CHANNELS - 0.5), within, spread(0.0)))
     first, behind = count, 0
     for lane in range(LANES):
-        one, other = int(k[FIRST, lane]), int(k[LAST, lane])
+        one, other = int(scalars[FIRST, lane]), int(scalars[LAST, lane])
         first, behind = min(first, one), max(behind, other + 1)
-        k[MIDDLE_NM, lane] = (wavelength_nm[one] + wavelength_nm[other]) / 2
-        k[HALF_NM, lane] = max((wavelength_nm[other] - wavelength_nm[one]) / 2, 1.0)
-    _weigh(wavelength_nm, t, k, curve, low * part, 1.0 / ((high - low) * part), first, behind)
+        scalars[MIDDLE_NM, lane] = (wavelength_nm[one] + wavelength_nm[other]) / 2
+        scalars[HALF_NM, lane] = max((wavelength_nm[other] - wavelength_nm[one]) / 2, 1.0)
+    _weigh(wavelength_nm, table, scalars, curve, low * part, 1.0 / ((high - low) * part), first, behind)
     return first, behind
 
 
 @formula
 def _weights(value: Any, inside: Any, per_depth: Any, low: Any, per_share: Any) -> Any:
+    """Depth over the deepest at one channel, its weight 3 s^2 - 2 s^3, and the weight's derivative to that share."""
     share = (1.0 - value) * per_depth
     s = lowest(highest((share - low) * per_share, 0.0), 1.0)
     return share, inside * (s * s * (3.0 - s * 2.0)), inside * (s * (1.0 - s) * per_share * 6.0)
@@ -442,261 +486,293 @@ def _weights(value: Any, inside: Any, per_depth: Any, low: Any, per_share: Any) 
 
 @uncounted
 def _weigh(
-    wavelength_nm: FloatArray, t: Any, k: Any, curve: int, low: Any, per_share: Any, first: int, behind: int
+    wavelength_nm: FloatArray, table: Any, scalars: Any, curve: int, low: Any, per_share: Any, first: int, behind: int
 ) -> None:
+    """Fill SHARE, HEFT, HEFT_SLOPE and X of channels `first` to before `behind`, from a smoothed ratio in row `curve`.
+
+    Weights rise from 0 at the share `low` to 1 at `low` + 1 / `per_share`.
+    """
     count = wavelength_nm.size
-    per_depth, middle, per_half = 1.0 / load(k, DEPTH_HERE), load(k, MIDDLE_NM), 1.0 / load(k, HALF_NM)
+    per_depth, middle, per_half = (
+        1.0 / load(scalars, DEPTH_HERE),
+        load(scalars, MIDDLE_NM),
+        1.0 / load(scalars, HALF_NM),
+    )
     for j in range(first, behind):
-        share, heft, slope = _weights(load(t, curve * count + j), load(t, IN * count + j), per_depth, low, per_share)
-        store(t, SHARE * count + j, share)
-        store(t, HEFT * count + j, heft)
-        store(t, HEFT_SLOPE * count + j, slope)
-        store(t, X * count + j, (wavelength_nm[j] - middle) * per_half)
+        share, heft, slope = _weights(
+            load(table, curve * count + j), load(table, IN * count + j), per_depth, low, per_share
+        )
+        store(table, SHARE * count + j, share)
+        store(table, HEFT * count + j, heft)
+        store(table, HEFT_SLOPE * count + j, slope)
+        store(table, X * count + j, (wavelength_nm[j] - middle) * per_half)
 
 
 TINY = float(np.finfo(float).tiny)
+"""Least divisor, in place of 0."""
 (
     MINIMUM_NM, MINIMUM_DEPTH, MINIMUM_VARIANCE, MINIMUM_RIVAL, HAS_SHAPE, WIDE_CENTER_NM, UNSAID, SHAPE_NM,
     CENTER_VARIANCE, SHAPE_DEPTH, DEPTH_VARIANCE, SHAPE_AREA, AREA_VARIANCE, SHAPE_ASYMMETRY, ASYMMETRY_VARIANCE,
     GAUSSIAN_NM
 ) = range(OF_SHAPE, OF_SHAPE + 16)  # fmt: skip
 OF_CHOICE = GAUSSIAN_NM + 1
-"""Rows behind those: of a minimum in a window its wavelength [nm] and depth, the variance of the
-wavelength, and what is not of first order in that (that a second minimum may be the lower one, and that the curvature
-is uncertain: three times the square of its relative error); whether there is a band, its centre in the wide window
-[nm], variance of the centre that is not of first order; centre, depth, area [nm], asymmetry, each with its variance;
-centre of a Gaussian [nm]."""
+"""Rows of `BandWork.scalars` behind those.
+
+* `MINIMUM_NM`, `MINIMUM_DEPTH`, `MINIMUM_VARIANCE`: of a minimum in a window its wavelength, depth, and the variance of
+  the wavelength. [nm, -, nm2]
+* `MINIMUM_RIVAL`: what is not of first order in that variance: that a second minimum may be the lower one, and that the
+  curvature is uncertain (three times the square of its relative error). [nm2]
+* `HAS_SHAPE`: above 0 where there is a band; `WIDE_CENTER_NM`: its centre in the wide window. [nm]
+* `UNSAID`: variance of the centre that is not of first order. [nm2]
+* `SHAPE_NM`, `SHAPE_DEPTH`, `SHAPE_AREA`, `SHAPE_ASYMMETRY`, each with its variance: the result. [nm, -, nm, -]
+* `GAUSSIAN_NM`: centre of a Gaussian. [nm]
+"""
 
 
-def _right_side(k: Any, x: Any, derivative: int, factor: Any) -> None:
+def _right_side(scalars: Any, x: Any, derivative: int, factor: Any) -> None:
     """Derivative of 1, x, …, x^4 at x, times a factor, into RIGHT."""
     power = x * 0.0 + factor
     for n in range(SIZE):
         times = n * (n - 1) if derivative == 2 else n if derivative == 1 else 1
-        store(k, RIGHT + n, power * float(times) if n >= derivative else x * 0.0)
+        store(scalars, RIGHT + n, power * float(times) if n >= derivative else x * 0.0)
         power = power * x if n >= derivative else power
 
 
 @formula
-def _ask_curvature(k: Any, x: Any) -> None:
-    _right_side(k, x, 2, 1.0)
+def _ask_curvature(scalars: Any, x: Any) -> None:
+    """Derivatives of the curvature at x by the coefficients, into RIGHT."""
+    _right_side(scalars, x, 2, 1.0)
 
 
 @formula
-def _ask_depth(k: Any, x: Any) -> None:
-    _right_side(k, x, 0, -1.0)
+def _ask_depth(scalars: Any, x: Any) -> None:
+    """Derivatives of the depth at x by the coefficients, into RIGHT."""
+    _right_side(scalars, x, 0, -1.0)
 
 
 @formula
-def _ask_centre(k: Any, x: Any, per_slope: Any) -> None:
-    _right_side(k, x, 1, -per_slope)
+def _ask_centre(scalars: Any, x: Any, per_slope: Any) -> None:
+    """Derivatives of the minimum's wavelength by the coefficients, into RIGHT; `per_slope`: nm per unit of slope."""
+    _right_side(scalars, x, 1, -per_slope)
 
 
 @formula
-def _difference(k: Any, x: Any, other: Any) -> None:
+def _difference(scalars: Any, x: Any, other: Any) -> None:
     """What two points of the polynomial differ by, into RIGHT."""
     one, two = x * 0.0 + 1.0, x * 0.0 + 1.0
     for n in range(SIZE):
-        store(k, RIGHT + n, two - one)
+        store(scalars, RIGHT + n, two - one)
         one, two = one * x, two * other
 
 
 @uncounted
-def _minimum(g: BandGrid, work: BandWork, first: int, behind: int, row: int) -> None:
+def _minimum(grid: BandGrid, work: BandWork, first: int, behind: int, row: int) -> None:
     """The minimum in a window; derivatives of wavelength and depth into rows from `row` on."""
-    t, k = work.t, work.k
-    fit(t, k, RATIO + CHOSEN, first, behind, g.wavelength_nm.size)
-    minima(k)
-    x, curvature, per_x = load(k, LOWEST), curvature_at(k, load(k, LOWEST)), load(k, HALF_NM)
-    _ask_curvature(k, x)
-    flat = root(slopes(g, work, first, behind, SPARE)) / highest(curvature, spread(TINY))
-    _ask_depth(k, x)
-    slopes(g, work, first, behind, row + 1)
-    _ask_centre(k, x, per_x / curvature)
-    variance = slopes(g, work, first, behind, row)
-    store(k, MINIMUM_NM, load(k, MIDDLE_NM) + per_x * x)
-    store(k, MINIMUM_DEPTH, 1.0 - value_at(k, x))
-    store(k, MINIMUM_VARIANCE, variance)
-    store(k, MINIMUM_RIVAL, flat * flat * variance * 3.0)
-    if has_any(k, RIVALLED):
-        _add_rival(g, work, first, behind)
+    table, scalars = work.table, work.scalars
+    fit(table, scalars, RATIO + CHOSEN, first, behind, grid.wavelength_nm.size)
+    minima(scalars)
+    x, curvature, per_x = load(scalars, LOWEST), curvature_at(scalars, load(scalars, LOWEST)), load(scalars, HALF_NM)
+    _ask_curvature(scalars, x)
+    flat = root(slopes(grid, work, first, behind, SPARE)) / highest(curvature, spread(TINY))
+    _ask_depth(scalars, x)
+    slopes(grid, work, first, behind, row + 1)
+    _ask_centre(scalars, x, per_x / curvature)
+    variance = slopes(grid, work, first, behind, row)
+    store(scalars, MINIMUM_NM, load(scalars, MIDDLE_NM) + per_x * x)
+    store(scalars, MINIMUM_DEPTH, 1.0 - value_at(scalars, x))
+    store(scalars, MINIMUM_VARIANCE, variance)
+    store(scalars, MINIMUM_RIVAL, flat * flat * variance * 3.0)
+    if has_any(scalars, RIVALLED):
+        _add_rival(grid, work, first, behind)
 
 
 @uncounted
-def _add_rival(g: BandGrid, work: BandWork, first: int, behind: int) -> None:
+def _add_rival(grid: BandGrid, work: BandWork, first: int, behind: int) -> None:
     """What it adds to the variance of the centre that the second minimum may truly be the lower one. [nm2]
 
     The probability of that, from the difference of their depths and its error, times the square of their distance.
     """
-    k = work.k
-    x, second = load(k, LOWEST), load(k, SECOND)
-    _difference(k, x, second)
-    sigma = highest(root(slopes(g, work, first, behind, SPARE)), spread(TINY))
-    store(k, OF_TERM, (value_at(k, second) - value_at(k, x)) / sigma)
+    scalars = work.scalars
+    x, second = load(scalars, LOWEST), load(scalars, SECOND)
+    _difference(scalars, x, second)
+    sigma = highest(root(slopes(grid, work, first, behind, SPARE)), spread(TINY))
+    store(scalars, OF_TERM, (value_at(scalars, second) - value_at(scalars, x)) / sigma)
     for lane in range(LANES):
-        if k[RIVALLED, lane] > 0.0:
-            apart = k[HALF_NM, lane] * (k[SECOND, lane] - k[LOWEST, lane])
-            k[MINIMUM_RIVAL, lane] += 0.5 * math.erfc(k[OF_TERM, lane] / math.sqrt(2.0)) * apart * apart
+        if scalars[RIVALLED, lane] > 0.0:
+            apart = scalars[HALF_NM, lane] * (scalars[SECOND, lane] - scalars[LOWEST, lane])
+            scalars[MINIMUM_RIVAL, lane] += 0.5 * math.erfc(scalars[OF_TERM, lane] / math.sqrt(2.0)) * apart * apart
 
 
 @uncounted
-def shape(g: BandGrid, work: BandWork, band: IntArray, bias: float, least: float) -> None:
-    """Measure a band under each spectrum's own continuum.
+def shape(grid: BandGrid, work: BandWork, band: IntArray, bias: float, least: float) -> None:
+    """Measure a band under the continuum chosen for each spectrum; the result is in the rows from `HAS_SHAPE` on.
 
-    The derivatives of centre, depth, area and asymmetry stay in rows: WIDE_NM, WIDE_DEPTH, AREA, ASYMMETRY.
+    `band` is a row of `Places.bands`, `bias` and `least` are those of `Band`. The derivatives of centre, depth, area
+    and asymmetry stay in rows: WIDE_NM, WIDE_DEPTH, AREA, ASYMMETRY.
     """
-    t, k, count = work.t, work.k, g.wavelength_nm.size
-    first, behind = window_of(g, work, CHOSEN, band, WIDE[0], WIDE[1], True)
-    _minimum(g, work, first, behind, WIDE_NM)
-    store(k, HAS_SHAPE, load(k, HAS_MINIMUM))
-    half = load(k, HALF_NM) * bias
-    _remember_wide(k, half * half)
-    first, behind = window_of(g, work, CHOSEN, band, NARROW[0], NARROW[1], False)
-    _minimum(g, work, first, behind, NARROW_NM)
-    _join(t, k, count)
-    hidden = _areas(g, work, band)
-    unsaid = load(k, UNSAID)
-    of_depth = _variance(t, WIDE_DEPTH, count)
-    store(k, CENTER_VARIANCE, highest(_variance(t, WIDE_NM, count) + unsaid, _least_variance(k, of_depth, least)))
-    store(k, DEPTH_VARIANCE, of_depth)
-    store(k, ASYMMETRY_VARIANCE, load(k, ASYMMETRY_VARIANCE) + hidden * hidden * unsaid)
-    store(k, GAUSSIAN_NM, _gaussian_centre(g, work, band))
+    table, scalars, count = work.table, work.scalars, grid.wavelength_nm.size
+    first, behind = window_of(grid, work, CHOSEN, band, WIDE[0], WIDE[1], True)
+    _minimum(grid, work, first, behind, WIDE_NM)
+    store(scalars, HAS_SHAPE, load(scalars, HAS_MINIMUM))
+    half = load(scalars, HALF_NM) * bias
+    _remember_wide(scalars, half * half)
+    first, behind = window_of(grid, work, CHOSEN, band, NARROW[0], NARROW[1], False)
+    _minimum(grid, work, first, behind, NARROW_NM)
+    _join(table, scalars, count)
+    hidden = _areas(grid, work, band)
+    unsaid = load(scalars, UNSAID)
+    of_depth = _variance(table, WIDE_DEPTH, count)
+    store(
+        scalars,
+        CENTER_VARIANCE,
+        highest(_variance(table, WIDE_NM, count) + unsaid, _least_variance(scalars, of_depth, least)),
+    )
+    store(scalars, DEPTH_VARIANCE, of_depth)
+    store(scalars, ASYMMETRY_VARIANCE, load(scalars, ASYMMETRY_VARIANCE) + hidden * hidden * unsaid)
+    store(scalars, GAUSSIAN_NM, _gaussian_centre(grid, work, band))
 
 
 @formula
-def _remember_wide(k: Any, bias2: Any) -> None:
-    store(k, SHAPE_NM, load(k, MINIMUM_NM))
-    store(k, WIDE_CENTER_NM, load(k, MINIMUM_NM))
-    store(k, SHAPE_DEPTH, load(k, MINIMUM_DEPTH))
-    store(k, CENTER_VARIANCE, load(k, MINIMUM_VARIANCE))
-    store(k, UNSAID, load(k, MINIMUM_RIVAL) + bias2)
+def _remember_wide(scalars: Any, bias2: Any) -> None:
+    """Keep the minimum of the wide window, the square of its bias with what is not of first order. [nm2]"""
+    store(scalars, SHAPE_NM, load(scalars, MINIMUM_NM))
+    store(scalars, WIDE_CENTER_NM, load(scalars, MINIMUM_NM))
+    store(scalars, SHAPE_DEPTH, load(scalars, MINIMUM_DEPTH))
+    store(scalars, CENTER_VARIANCE, load(scalars, MINIMUM_VARIANCE))
+    store(scalars, UNSAID, load(scalars, MINIMUM_RIVAL) + bias2)
 
 
 @uncounted
-def _variance(t: Any, row: int, count: int) -> Any:
+def _variance(table: Any, row: int, count: int) -> Any:
     """Variance of a quantity whose derivatives to each reflectance are in rows."""
     total = spread(0.0)
     for j in range(count):
-        off = load(t, row * count + j) * load(t, NOISE * count + j)
+        off = load(table, row * count + j) * load(table, NOISE * count + j)
         total += off * off
     return total
 
 
 @formula
-def _least_variance(k: Any, of_depth: Any, factor: float) -> Any:
+def _least_variance(scalars: Any, of_depth: Any, factor: float) -> Any:
     """Of a centre: see `Band.least`. [nm2]"""
-    depth = load(k, SHAPE_DEPTH)
-    width = load(k, SHAPE_AREA) * (factor / math.sqrt(2.0 * math.pi))
+    depth = load(scalars, SHAPE_DEPTH)
+    width = load(scalars, SHAPE_AREA) * (factor / math.sqrt(2.0 * math.pi))
     variance = width * width * of_depth / highest(depth * depth * depth * depth, TINY)
     return choose(depth > 0.0, variance, 0.0)
 
 
 @formula
-def _part_of_wide(k: Any, common: Any) -> Any:
+def _part_of_wide(scalars: Any, common: Any) -> Any:
     """Weight of the wide window for the least variance, 1 where the narrow one has no minimum."""
-    of_wide = load(k, CENTER_VARIANCE) + load(k, UNSAID)
-    of_narrow = load(k, MINIMUM_VARIANCE) + load(k, MINIMUM_RIVAL)
+    of_wide = load(scalars, CENTER_VARIANCE) + load(scalars, UNSAID)
+    of_narrow = load(scalars, MINIMUM_VARIANCE) + load(scalars, MINIMUM_RIVAL)
     share = (of_narrow - common) / highest(of_wide + of_narrow - common * 2.0, TINY)
-    there = (load(k, INNER) > 0.0) & (load(k, HAS_MINIMUM) > 0.0)
+    there = (load(scalars, INNER) > 0.0) & (load(scalars, HAS_MINIMUM) > 0.0)
     return choose(there, lowest(highest(share, 0.0), 1.0), 1.0)
 
 
 @formula
 def _blend(part: Any, wide: Any, narrow: Any) -> Any:
+    """`part` of the wide window's value and the rest of the narrow one's, which has no meaning where `part` is 1."""
     return choose(part < 1.0, part * wide + (1.0 - part) * narrow, wide)
 
 
 @uncounted
-def _join(t: Any, k: Any, count: int) -> None:
+def _join(table: Any, scalars: Any, count: int) -> None:
     """Centre, depth, and the centre's variance that is not of first order, of the wide and the narrow window together.
 
     Their weights are those of the least variance. The derivatives take the place of those of the wide window.
     """
     common = spread(0.0)
     for j in range(count):
-        noise = load(t, NOISE * count + j)
-        common += load(t, WIDE_NM * count + j) * load(t, NARROW_NM * count + j) * noise * noise
-    part = _part_of_wide(k, common)
+        noise = load(table, NOISE * count + j)
+        common += load(table, WIDE_NM * count + j) * load(table, NARROW_NM * count + j) * noise * noise
+    part = _part_of_wide(scalars, common)
     for j in range(2 * count):
         at = WIDE_NM * count + j
-        store(t, at, _blend(part, load(t, at), load(t, NARROW_NM * count + j)))
-    store(k, SHAPE_NM, _blend(part, load(k, SHAPE_NM), load(k, MINIMUM_NM)))
-    store(k, SHAPE_DEPTH, _blend(part, load(k, SHAPE_DEPTH), load(k, MINIMUM_DEPTH)))
+        store(table, at, _blend(part, load(table, at), load(table, NARROW_NM * count + j)))
+    store(scalars, SHAPE_NM, _blend(part, load(scalars, SHAPE_NM), load(scalars, MINIMUM_NM)))
+    store(scalars, SHAPE_DEPTH, _blend(part, load(scalars, SHAPE_DEPTH), load(scalars, MINIMUM_DEPTH)))
     rest = 1.0 - part
-    store(k, UNSAID, _blend(part, part * load(k, UNSAID), rest * load(k, MINIMUM_RIVAL)))
+    store(scalars, UNSAID, _blend(part, part * load(scalars, UNSAID), rest * load(scalars, MINIMUM_RIVAL)))
 
 
 @formula
 def _deep(wavelength_nm: Any, steps_nm: Any, center_nm: Any, ratio: Any) -> Any:
+    """Side of the centre on which a channel lies, -1 to 1 across it, and the area that it adds. [-, nm]"""
     side = lowest(highest((wavelength_nm - center_nm) * 2.0 / steps_nm, -1.0), 1.0)
     return side, (1.0 - ratio) * steps_nm
 
 
 @uncounted
-def _areas(g: BandGrid, work: BandWork, band: IntArray) -> Any:
+def _areas(grid: BandGrid, work: BandWork, band: IntArray) -> Any:
     """Area and asymmetry, and the derivatives of both to each reflectance; what 1 nm of centre does to the latter.
 
     It takes that from the right and gives it to the left.
     """
-    t, k, count = work.t, work.k, g.wavelength_nm.size
-    wavelength_nm, steps_nm = g.wavelength_nm, g.steps_nm
-    center, across, area, excess = load(k, SHAPE_NM), load(k, SHAPE_DEPTH) * 2.0, spread(0.0), spread(0.0)
+    table, scalars, count = work.table, work.scalars, grid.wavelength_nm.size
+    wavelength_nm, steps_nm = grid.wavelength_nm, grid.steps_nm
+    center, across, area, excess = load(scalars, SHAPE_NM), load(scalars, SHAPE_DEPTH) * 2.0, spread(0.0), spread(0.0)
     for j in range(band[0], band[1]):
-        side, deep = _deep(wavelength_nm[j], steps_nm[j], center, load(t, (RATIO + CHOSEN) * count + j))
+        side, deep = _deep(wavelength_nm[j], steps_nm[j], center, load(table, (RATIO + CHOSEN) * count + j))
         area += deep
         excess += deep * side
-        store(t, OF_RATIO * count + j, side * -steps_nm[j])
-        store(t, OF_CURVE * count + j, spread(0.0))
-    per_channel(g, work, band[0], band[1], ASYMMETRY, spread(0.0))
+        store(table, OF_RATIO * count + j, side * -steps_nm[j])
+        store(table, OF_CURVE * count + j, spread(0.0))
+    per_channel(grid, work, band[0], band[1], ASYMMETRY, spread(0.0))
     for j in range(band[0], band[1]):
-        store(t, OF_RATIO * count + j, spread(-steps_nm[j]))
-    store(k, AREA_VARIANCE, per_channel(g, work, band[0], band[1], AREA, spread(0.0)))
+        store(table, OF_RATIO * count + j, spread(-steps_nm[j]))
+    store(scalars, AREA_VARIANCE, per_channel(grid, work, band[0], band[1], AREA, spread(0.0)))
     per_area = choose(area * area, 1.0 / area, spread(0.0))
     asymmetry, variance = excess * per_area, spread(0.0)
     for j in range(count):
-        of_excess = load(t, ASYMMETRY * count + j) - across * load(t, WIDE_NM * count + j)
-        slope = (of_excess - asymmetry * load(t, AREA * count + j)) * per_area
-        off = slope * load(t, NOISE * count + j)
+        of_excess = load(table, ASYMMETRY * count + j) - across * load(table, WIDE_NM * count + j)
+        slope = (of_excess - asymmetry * load(table, AREA * count + j)) * per_area
+        off = slope * load(table, NOISE * count + j)
         variance += off * off
-    store(k, SHAPE_AREA, area)
-    store(k, SHAPE_ASYMMETRY, asymmetry)
-    store(k, ASYMMETRY_VARIANCE, variance)
+    store(scalars, SHAPE_AREA, area)
+    store(scalars, SHAPE_ASYMMETRY, asymmetry)
+    store(scalars, ASYMMETRY_VARIANCE, variance)
     return across * per_area
 
 
 @formula
 def _gaussian_terms(curve: Any, heft: Any, x: Any) -> Any:
+    """Weight w of one channel, w x and w ln depth."""
     deep = highest(1.0 - curve, LEAST_DEPTH)
     heft = choose(heft > 0.0, deep * deep, 0.0)
     return heft, heft * x, heft * logarithm(deep)
 
 
 @uncounted
-def _gaussian_centre(g: BandGrid, work: BandWork, band: IntArray) -> Any:
+def _gaussian_centre(grid: BandGrid, work: BandWork, band: IntArray) -> Any:
     """Centre of a Gaussian through the deeper half of the smoothed band; NaN where there is none. [nm]
 
     A parabola through ln depth, weighted with the depth squared: Guo (2011), 10.1109/MSP.2011.941846.
     """
-    t, k, count = work.t, work.k, g.wavelength_nm.size
-    first, behind = window_of(g, work, CHOSEN, band, HALF, HALF + 1e-9, False)
+    table, scalars, count = work.table, work.scalars, grid.wavelength_nm.size
+    first, behind = window_of(grid, work, CHOSEN, band, HALF, HALF + 1e-9, False)
     m0, m1, m2, m3, m4 = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
     r0, r1, r2 = spread(0.0), spread(0.0), spread(0.0)
     for j in range(first, behind):
-        x = load(t, X * count + j)
-        heft, power, right = _gaussian_terms(load(t, (CURVE + CHOSEN) * count + j), load(t, HEFT * count + j), x)
+        x = load(table, X * count + j)
+        heft, power, right = _gaussian_terms(
+            load(table, (CURVE + CHOSEN) * count + j), load(table, HEFT * count + j), x
+        )
         m0, m1, r0, r1 = m0 + heft, m1 + power, r0 + right, r1 + right * x
         power = power * x
         m2, r2 = m2 + power, r2 + right * x * x
         m3, m4 = m3 + power * x, m4 + power * x * x
-    return _parabola(k, m0, m1, m2, m3, m4, r0, r1, r2)
+    return _parabola(scalars, m0, m1, m2, m3, m4, r0, r1, r2)
 
 
 @formula
-def _parabola(k: Any, m0: Any, m1: Any, m2: Any, m3: Any, m4: Any, r0: Any, r1: Any, r2: Any) -> Any:
+def _parabola(scalars: Any, m0: Any, m1: Any, m2: Any, m3: Any, m4: Any, r0: Any, r1: Any, r2: Any) -> Any:
+    """Wavelength of the top of the parabola with these sums of w x^i and w x^i ln depth; NaN where it has none. [nm]"""
     d11, d12, d22 = m2 - m1 * m1 / m0, m3 - m1 * m2 / m0, m4 - m2 * m2 / m0
     e1, e2 = r1 - m1 * r0 / m0, r2 - m2 * r0 / m0
     bend = (e2 * d11 - e1 * d12) / (d11 * d22 - d12 * d12)
     x = (e1 - d12 * bend) / d11 / (bend * -2.0)
-    enough = load(k, LAST) - load(k, FIRST) > 1.5
+    enough = load(scalars, LAST) - load(scalars, FIRST) > 1.5
     there = enough & (bend < 0.0) & (abs(x) < 1.0)
-    return choose(there, load(k, MIDDLE_NM) + load(k, HALF_NM) * x, math.nan)
+    return choose(there, load(scalars, MIDDLE_NM) + load(scalars, HALF_NM) * x, math.nan)

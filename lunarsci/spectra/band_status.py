@@ -1,6 +1,7 @@
-"""The 1 um and 2 um bands, what is measured of each, and what may be said where there is none.
+"""The 1 um and 2 um bands, what is measured of each, and the sentences about those that are not there.
 
-Under which continuum each of eight spectra shows a band, if any: what is against one, and the next to be tried.
+Numbers and codes of both bands of many spectra are arrays (`BandArrays`); `NUMBER` and `CODE` name their places,
+`STATUS` the codes.
 """
 
 import math
@@ -10,8 +11,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.spectra.spectrum import wide_gap
+from lunarsci.arrays import BoolArray, FloatArray, IntArray
+from lunarsci.spectra.band_shape import BandGrid
+from lunarsci.spectra.continuum import CONTINUA, HULL, LINEAR
+from lunarsci.spectra.spectrum import reaches_over, wide_gap
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,6 +24,7 @@ class Band:
     Attributes
     ----------
     window_nm, centre_nm, reach_nm : its window, where its centre may lie, what a spectrum must reach. [nm]
+    key : of its names in JSON, such as `bc1000_nm`.
     others : what else absorbs nearby.
     bias : standard deviation of the bias of a minimum in the wide window, in half widths of that. [-]
     least : least standard error of a centre, times the relative error of the depth and the standard width (area over
@@ -116,7 +120,7 @@ class Statuses(NamedTuple):
 
 
 class Numbers(NamedTuple):
-    """Places of the numbers of a band: those of a `BandResult`, and what is said where it has none."""
+    """Places of the numbers of a band: those of a `BandResult`, and those that sentences on it need (`BandColumns`)."""
 
     center_nm: int = 0
     center_sigma_nm: int = 1
@@ -139,7 +143,7 @@ class Numbers(NamedTuple):
 
 
 class CodeRows(NamedTuple):
-    """Places of the codes of a band."""
+    """Places of the codes of a band; `BandColumns` says what they are."""
 
     continuum: int = 0
     status: int = 1
@@ -148,12 +152,14 @@ class CodeRows(NamedTuple):
 
 STATUS, NUMBER, CODE = Statuses(), Numbers(), CodeRows()
 STATUSES, QUANTITIES, CODES = Statuses._fields, Numbers._fields, CodeRows._fields
+"""Names of codes of a status, of numbers and of codes, in their order."""
 NO_BAND = (STATUS.too_few_deep_channels, STATUS.deepest_elsewhere, STATUS.no_minimum, STATUS.depth_within_noise)
 """Codes that say that there is none."""
 ABSENT_NM = 2300.0
 """A spectrum that ends before this does not show that there is no band at 2 um: assumed, as clinopyroxenes have minima
 up to 2380 nm (Cloutis & Gaffey 1991, 10.1029/91JE02512) and bands far wider than what would be missing. [nm]"""
 Codes = npt.NDArray[np.int8]
+"""Places in `STATUSES`, or in `CONTINUA`."""
 JSON_KEYS = {
     "center_nm": "bc{}_nm",
     "center_sigma_nm": "bc{}_sigma_nm",
@@ -189,6 +195,63 @@ SENTENCES = {
     "too_narrow": "no band of a pyroxene",
 }
 """What the codes of `STATUSES` say."""
+
+
+FEWEST_IN_WINDOW = 14
+"""Usable channels in a band's window below which it is not measured; assumed."""
+
+
+class Places(NamedTuple):
+    """Where the bands lie among the channels.
+
+    Attributes
+    ----------
+    bands : of each, its first channel and the one behind its last, and the same of where its deepest may lie, (2, 4).
+    limits_nm, bias, least : where its centre may lie, (2, 2); see `Band`, (2,), (2,). [nm, -, -]
+    wanted : place of the wanted continuum in `CONTINUA`.
+    missing : a code of `STATUSES` where the channels cannot show it, else 0, (2,).
+    order : continua in the order in which they are tried, (3,), -1 for none.
+    low, high : first channel of all bands, and the one behind the last.
+    """
+
+    bands: IntArray
+    limits_nm: FloatArray
+    bias: FloatArray
+    least: FloatArray
+    wanted: int
+    missing: IntArray
+    order: IntArray
+    low: int
+    high: int
+
+
+def places_of(grid: BandGrid, wanted: int) -> Places:
+    """Where the bands lie among these channels, and the continua to try, the wanted one first."""
+    wavelength = grid.wavelength_nm
+    bands = [
+        [*channels_within(wavelength, band.window_nm), *channels_within(wavelength, band.centre_nm)] for band in BANDS
+    ]
+    missing = [_missing(wavelength[low:high], band) for (low, high, _, _), band in zip(bands, BANDS, strict=True)]
+    order = [which for which in dict.fromkeys((wanted, HULL, LINEAR)) if grid.ties.available[which]]
+    order += [-1] * (len(CONTINUA) - len(order))
+    limits = np.array([band.centre_nm for band in BANDS])
+    bias, least = np.array([(band.bias, band.least) for band in BANDS]).T.copy()
+    codes = np.array(missing, np.int64), np.array(order, np.int64)
+    low, high = min(band[0] for band in bands), max(band[1] for band in bands)
+    return Places(np.array(bands, np.int64), limits, bias, least, wanted, *codes, low, high)
+
+
+def channels_within(wavelength_nm: FloatArray, limits_nm: tuple[float, float]) -> tuple[int, int]:
+    """First channel within limits, and the one behind the last."""
+    low, high = limits_nm
+    return int(np.searchsorted(wavelength_nm, low)), int(np.searchsorted(wavelength_nm, high, side="right"))
+
+
+def _missing(inside_nm: FloatArray, band: Band) -> int:
+    """Code of why these channels of a window cannot show its band; 0 where they can."""
+    if inside_nm.size < FEWEST_IN_WINDOW:
+        return STATUS.too_few_channels_in_window
+    return STATUS.ok if reaches_over(inside_nm, *band.reach_nm) else STATUS.window_not_covered
 
 
 def sentence(code: int, band: Band, deepest_nm: float, wavelength_nm: FloatArray) -> str:
@@ -353,7 +416,8 @@ class BandColumns:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BandArrays:
-    """Both bands of m spectra: numbers (m, 2, 18) and codes (m, 2, 3), which `bands` has by name."""
+    """Both bands of m spectra: `numbers` (m, 2, 18) in the order of `QUANTITIES`, NaN where there is none, and `codes`
+    (m, 2, 3) in that of `CODES`; `bands` has them by name. Units are in the names."""
 
     numbers: FloatArray
     codes: Codes

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,8 +20,22 @@ from lunarsci.compiled.lanes import aligned, choose, highest, load, lowest, root
 from lunarsci.errors import DataError
 from lunarsci.io import records
 from lunarsci.parallel.blocks import arrays_in_blocks, rows_in_memory, saved_rows
-from lunarsci.spectra import band_shape as model
-from lunarsci.spectra.band_shape import BandGrid, BandWork, Smoother, deepest_of, fit, minima, shape, smooth, window_of
+from lunarsci.spectra import band_shape as ROW
+from lunarsci.spectra.band_shape import (
+    LEAST_DEPTH,
+    NARROW,
+    SIZE,
+    WIDE,
+    BandGrid,
+    BandWork,
+    Smoother,
+    deepest_of,
+    fit,
+    minima,
+    shape,
+    smooth,
+    window_of,
+)
 from lunarsci.spectra.band_status import (
     ABSENT_NM,
     BANDS,
@@ -42,9 +56,12 @@ from lunarsci.spectra.band_status import (
     BandColumns,
     BandResult,
     Codes,
+    Places,
+    channels_within,
     judge_width,
     narrow_text,
     nothing_of,
+    places_of,
     sentence,
     short_by,
 )
@@ -54,7 +71,6 @@ from lunarsci.spectra.continuum import (
     CONTINUA,
     HULL,
     LEVEL,
-    LINEAR,
     NODE,
     SMOOTHED,
     TERMS,
@@ -66,9 +82,8 @@ from lunarsci.spectra.continuum import (
     ties_of,
 )
 from lunarsci.spectra.noise import WINDOW, running_medians, take_eight, uncounted
-from lunarsci.spectra.spectrum import Smoothing, Spectrum, reaches_over, smoothing_operator
+from lunarsci.spectra.spectrum import Smoothing, Spectrum, smoothing_operator
 
-FEWEST_IN_WINDOW = 14
 CHUNK = 512
 """Spectra that a thread takes at a time; a multiple of `LANES`."""
 SAME_NM = 1e-6
@@ -87,6 +102,7 @@ def grid_of(wavelength_nm: FloatArray, width_nm: float, order: int) -> BandGrid:
 
 
 def _banded(operator: FloatArray) -> Smoother:
+    """An operator, (n, n), without the zeros on either side of its diagonal."""
     used = operator != 0
     first, size = np.argmax(used, axis=1), len(operator)
     width = int((size - np.argmax(used[:, ::-1], axis=1) - first).max())
@@ -95,69 +111,27 @@ def _banded(operator: FloatArray) -> Smoother:
     return Smoother(first, np.ascontiguousarray(weights))
 
 
-class Places(NamedTuple):
-    """Where the bands lie among the channels.
+(TRIED, IS_CONIC, IS_HULL, AGAINST, DEEPEST_NM, OTHER_NM, CHOICES) = (ROW.OF_CHOICE + k for k in (0, 1, 2, 3, 6, 9, 12))
+"""Rows of `BandWork.scalars` behind those of `band_shape`, `CHOICES` in all.
 
-    Attributes
-    ----------
-    bands : of each, its first channel and the one behind its last, and the same of where its deepest may lie, (2, 4).
-    limits_nm, bias, least : where its centre may lie, (2, 2); see `Band`, (2,), (2,). [nm, -, -]
-    wanted : place of the wanted continuum in `CONTINUA`.
-    missing : a code of `STATUSES` where the channels cannot show it, else 0, (2,).
-    order : continua in the order in which they are tried, (3,), -1 for none.
-    low, high : first channel of all bands, and the one behind the last.
-    """
-
-    bands: IntArray
-    limits_nm: FloatArray
-    bias: FloatArray
-    least: FloatArray
-    wanted: int
-    missing: IntArray
-    order: IntArray
-    low: int
-    high: int
-
-
-def places_of(grid: BandGrid, wanted: int) -> Places:
-    """Where the bands lie among these channels, and the continua to try, the wanted one first."""
-    wavelength = grid.wavelength_nm
-    bands = [[*_range(wavelength, band.window_nm), *_range(wavelength, band.centre_nm)] for band in BANDS]
-    missing = [_missing(wavelength[low:high], band) for (low, high, _, _), band in zip(bands, BANDS, strict=True)]
-    order = [c for c in dict.fromkeys((wanted, HULL, LINEAR)) if grid.ties.available[c]]
-    order += [-1] * (len(CONTINUA) - len(order))
-    limits = np.array([band.centre_nm for band in BANDS])
-    bias, least = np.array([(band.bias, band.least) for band in BANDS]).T.copy()
-    codes = np.array(missing, np.int64), np.array(order, np.int64)
-    low, high = min(band[0] for band in bands), max(band[1] for band in bands)
-    return Places(np.array(bands, np.int64), limits, bias, least, wanted, *codes, low, high)
-
-
-def _range(wavelength_nm: FloatArray, limits_nm: tuple[float, float]) -> tuple[int, int]:
-    low, high = limits_nm
-    return int(np.searchsorted(wavelength_nm, low)), int(np.searchsorted(wavelength_nm, high, side="right"))
-
-
-def _missing(inside_nm: FloatArray, band: Band) -> int:
-    if inside_nm.size < FEWEST_IN_WINDOW:
-        return STATUS.too_few_channels_in_window
-    return STATUS.ok if reaches_over(inside_nm, *band.reach_nm) else STATUS.window_not_covered
-
-
-(TRIED, IS_CONIC, IS_HULL, AGAINST, DEEPEST_NM, OTHER_NM, CHOICES) = (
-    model.OF_CHOICE + k for k in (0, 1, 2, 3, 6, 9, 12)
-)
-"""Rows, behind those of `band_shape`: place in the order of the continuum that is tried, below 0 for none; which one
-that is; by continuum what is against it, where the band is deepest and its centre in the wide window. [nm]"""
+* `TRIED`: place in `Places.order` of the continuum that is tried, -1 before the first, -2 when there is nothing to try.
+* `IS_CONIC`, `IS_HULL`: 1 where it is that one, else 0.
+* `AGAINST`, `DEEPEST_NM`, `OTHER_NM`, a row for each continuum: the code of what is against it, where the band is
+  deepest under it, and the centre in the wide window. [-, nm, nm]
+"""
 
 
 @formula
 def _code(least_level: Any, highest: Any, depth: Any, end: Any, inner: Any, nm: Any, low_nm: Any, high_nm: Any) -> Any:
     """Why a continuum is not fit for use over a band, or why there is no band under it; 0 for neither.
 
+    `least_level` is its least level over the window, `highest` the greatest smoothed ratio to it there, `depth` the
+    greatest depth, `end` the mean depth of the last channels (-inf where that does not count), `inner` as `INNER`, `nm`
+    where it is deepest, which is to lie between `low_nm` and `high_nm`.
+
     Where the spectrum lies nowhere below the continuum it is deepest where both touch, which rounding decides.
     """
-    nowhere = choose(highest - 1.0 > model.LEAST_DEPTH, STATUS.continuum_below_spectrum, STATUS.depth_within_noise)
+    nowhere = choose(highest - 1.0 > LEAST_DEPTH, STATUS.continuum_below_spectrum, STATUS.depth_within_noise)
     above, between = least_level > 0.0, (nm > low_nm) & (nm < high_nm)
     crossing = choose(
         highest - 1.0 > depth * CROSSING_SHARE,
@@ -165,106 +139,127 @@ def _code(least_level: Any, highest: Any, depth: Any, end: Any, inner: Any, nm: 
         choose(end > depth * RUNAWAY_SHARE, STATUS.continuum_runs_away, STATUS.ok),
     )
     result = choose(inner > 0.0, crossing, choose(between, STATUS.too_few_deep_channels, STATUS.deepest_elsewhere))
-    return choose(above, choose(depth < model.LEAST_DEPTH, nowhere, result), STATUS.continuum_falls_to_zero)
+    return choose(above, choose(depth < LEAST_DEPTH, nowhere, result), STATUS.continuum_falls_to_zero)
 
 
 @uncounted
-def judge(g: BandGrid, places: Places, work: BandWork, b: int, c: int) -> None:
-    """What is against a continuum over a band, where the band is deepest under it, and its centre."""
-    t, k, count, band = work.t, work.k, g.wavelength_nm.size, places.bands[b]
-    least_level, above = load(t, (LEVEL + c) * count + band[0]), load(t, (model.CURVE + c) * count + band[0])
+def judge(grid: BandGrid, places: Places, work: BandWork, number: int, which: int) -> None:
+    """What is against a continuum over a band, where the band is deepest under it, and its centre.
+
+    `which` is the continuum's place in `CONTINUA`, `number` the band's in `BANDS`; into `AGAINST` and the rows
+    behind it.
+    """
+    table, scalars, count, band = work.table, work.scalars, grid.wavelength_nm.size, places.bands[number]
+    least_level, above = (
+        load(table, (LEVEL + which) * count + band[0]),
+        load(table, (ROW.CURVE + which) * count + band[0]),
+    )
     for j in range(band[0] + 1, band[1]):
-        least_level = lowest(least_level, load(t, (LEVEL + c) * count + j))
-        above = highest(above, load(t, (model.CURVE + c) * count + j))
-    least, place = deepest_of(t, model.CURVE + c, band[0], band[1], count)
+        least_level = lowest(least_level, load(table, (LEVEL + which) * count + j))
+        above = highest(above, load(table, (ROW.CURVE + which) * count + j))
+    least, place = deepest_of(table, ROW.CURVE + which, band[0], band[1], count)
     end = spread(-np.inf)
-    if c == CONIC and band[1] == count:
+    if which == CONIC and band[1] == count:
         end = spread(0.0)
         for j in range(count - END_CHANNELS, count):
-            end += (1.0 - load(t, (model.CURVE + c) * count + j)) * (1.0 / END_CHANNELS)
-    store(k, DEEPEST_NM + c, place)
+            end += (1.0 - load(table, (ROW.CURVE + which) * count + j)) * (1.0 / END_CHANNELS)
+    store(scalars, DEEPEST_NM + which, place)
     for lane in range(LANES):
-        k[DEEPEST_NM + c, lane] = g.wavelength_nm[int(k[DEEPEST_NM + c, lane])]
-    first, behind = window_of(g, work, c, band, model.WIDE[0], model.WIDE[1], True)
-    low, high = places.limits_nm[b]
-    code = _code(least_level, above, 1.0 - least, end, load(k, model.INNER), load(k, DEEPEST_NM + c), low, high)
-    store(k, AGAINST + c, code)
-    store(k, OTHER_NM + c, centre(work, c, first, behind, count))
+        scalars[DEEPEST_NM + which, lane] = grid.wavelength_nm[int(scalars[DEEPEST_NM + which, lane])]
+    first, behind = window_of(grid, work, which, band, WIDE[0], WIDE[1], True)
+    low, high = places.limits_nm[number]
+    code = _code(
+        least_level, above, 1.0 - least, end, load(scalars, ROW.INNER), load(scalars, DEEPEST_NM + which), low, high
+    )
+    store(scalars, AGAINST + which, code)
+    store(scalars, OTHER_NM + which, centre(work, which, first, behind, count))
 
 
 @uncounted
 def centre(work: BandWork, which: int, first: int, behind: int, count: int) -> Any:
-    """Centre in a window, NaN where there is none. [nm]"""
-    k = work.k
-    fit(work.t, k, model.RATIO + which, first, behind, count)
-    minima(k)
-    there = choose(load(k, model.INNER), load(k, model.HAS_MINIMUM), spread(0.0))
-    return choose(there, load(k, model.MIDDLE_NM) + load(k, model.HALF_NM) * load(k, model.LOWEST), spread(np.nan))
+    """Centre in the window of channels `first` to before `behind` of `count`, NaN where there is none. [nm]"""
+    scalars = work.scalars
+    fit(work.table, scalars, ROW.RATIO + which, first, behind, count)
+    minima(scalars)
+    there = choose(load(scalars, ROW.INNER), load(scalars, ROW.HAS_MINIMUM), spread(0.0))
+    return choose(
+        there, load(scalars, ROW.MIDDLE_NM) + load(scalars, ROW.HALF_NM) * load(scalars, ROW.LOWEST), spread(np.nan)
+    )
 
 
 @uncounted
-def go_on(places: Places, k: Any, lane: int, numbers: FloatArray, codes: Codes) -> bool:
-    """Turn to the next continuum that nothing is against, and say of the others what is; whether there is one."""
-    for tried in range(int(k[TRIED, lane]) + 1, places.order.size):
-        c = places.order[tried]
-        if c < 0:
+def go_on(places: Places, scalars: Any, lane: int, numbers: FloatArray, codes: Codes) -> bool:
+    """Turn to the next continuum that nothing is against, and record of the others what is; whether there is one.
+
+    `numbers`, (18,), and `codes`, (3,), are those of one band of the spectrum in a lane.
+    """
+    for tried in range(int(scalars[TRIED, lane]) + 1, places.order.size):
+        which = places.order[tried]
+        if which < 0:
             break
-        code = int(k[AGAINST + c, lane])
+        code = int(scalars[AGAINST + which, lane])
         if code == STATUS.ok:
-            k[TRIED, lane] = float(tried)
+            scalars[TRIED, lane] = float(tried)
             return True
-        record(places, k, lane, c, code, numbers, codes)
-    k[TRIED, lane] = -2.0
+        record(places, scalars, lane, which, code, numbers, codes)
+    scalars[TRIED, lane] = -2.0
     return False
 
 
 @uncounted
-def record(places: Places, k: Any, lane: int, c: int, code: int, numbers: FloatArray, codes: Codes) -> None:
-    deepest = k[DEEPEST_NM + c, lane]
-    if code == STATUS.ok or c == HULL:
-        codes[CODE.continuum], codes[CODE.status], numbers[NUMBER.deepest_nm] = c, code, deepest
-    if code != STATUS.ok and c == places.wanted:
+def record(places: Places, scalars: Any, lane: int, which: int, code: int, numbers: FloatArray, codes: Codes) -> None:
+    """Write a code of a continuum as status where it is the answer, as note where another was wanted.
+
+    The hull, which every spectrum has, answers where none is fit for use.
+    """
+    deepest = scalars[DEEPEST_NM + which, lane]
+    if code == STATUS.ok or which == HULL:
+        codes[CODE.continuum], codes[CODE.status], numbers[NUMBER.deepest_nm] = which, code, deepest
+    if code != STATUS.ok and which == places.wanted:
         codes[CODE.note], numbers[NUMBER.note_deepest_nm] = code, deepest
 
 
 @formula
 def _picked(conic: Any, hull: Any, first: Any, second: Any, third: Any) -> Any:
+    """The first value in lanes measured under the conic, the second under the hull, else the third."""
     return choose(conic, first, choose(hull, second, third))
 
 
 @uncounted
-def chosen_continuum(g: BandGrid, places: Places, work: BandWork) -> None:
+def chosen_continuum(grid: BandGrid, places: Places, work: BandWork) -> None:
     """Put what belongs to the continuum that each spectrum is tried under where `shape` looks for it."""
-    t, k, count = work.t, work.k, g.wavelength_nm.size
+    table, scalars, count = work.table, work.scalars, grid.wavelength_nm.size
     for lane in range(LANES):
-        tried = int(k[TRIED, lane])
-        c = places.order[tried] if tried >= 0 else HULL
+        tried = int(scalars[TRIED, lane])
+        which = places.order[tried] if tried >= 0 else HULL
         for term in range(TERMS):
-            work.tie[model.CHOSEN, term, lane] = work.tie[c, term, lane]
-        k[IS_CONIC, lane], k[IS_HULL, lane] = 1.0 if c == CONIC else 0.0, 1.0 if c == HULL else 0.0
-    conic, hull = load(k, IS_CONIC), load(k, IS_HULL)
+            work.tie[ROW.CHOSEN, term, lane] = work.tie[which, term, lane]
+        scalars[IS_CONIC, lane], scalars[IS_HULL, lane] = 1.0 if which == CONIC else 0.0, 1.0 if which == HULL else 0.0
+    conic, hull = load(scalars, IS_CONIC), load(scalars, IS_HULL)
     for j in range(count):
-        store(t, model.CHOSEN_NODE * count + j, load(t, NODE * count + j) * hull)
+        store(table, ROW.CHOSEN_NODE * count + j, load(table, NODE * count + j) * hull)
     for j in range(places.low, places.high):
-        for row in (model.RATIO, model.CURVE, model.PER_LEVEL):
+        for row in (ROW.RATIO, ROW.CURVE, ROW.PER_LEVEL):
             at = row * count + j
-            value = _picked(conic, hull, load(t, at), load(t, at + count), load(t, at + 2 * count))
-            store(t, at + model.CHOSEN * count, value)
+            value = _picked(conic, hull, load(table, at), load(table, at + count), load(table, at + 2 * count))
+            store(table, at + ROW.CHOSEN * count, value)
         for term in range(TERMS):
             at = (WEIGHT + term) * count + j
-            value = _picked(conic, hull, load(t, at), load(t, at + TERMS * count), load(t, at + 2 * TERMS * count))
-            store(t, (model.CHOSEN_WEIGHT + term) * count + j, value)
+            value = _picked(
+                conic, hull, load(table, at), load(table, at + TERMS * count), load(table, at + 2 * TERMS * count)
+            )
+            store(table, (ROW.CHOSEN_WEIGHT + term) * count + j, value)
 
 
 @uncounted
-def verdict(limits_nm: FloatArray, k: Any, lane: int) -> int:
-    """A code of the band that was measured."""
-    center_nm, depth = k[model.SHAPE_NM, lane], k[model.SHAPE_DEPTH, lane]
-    if not (k[model.HAS_SHAPE, lane] > 0.0 and limits_nm[0] <= center_nm <= limits_nm[1]):
+def verdict(limits_nm: FloatArray, scalars: Any, lane: int) -> int:
+    """Code of the band measured in a lane, whose centre is to lie within limits. [nm]"""
+    center_nm, depth = scalars[ROW.SHAPE_NM, lane], scalars[ROW.SHAPE_DEPTH, lane]
+    if not (scalars[ROW.HAS_SHAPE, lane] > 0.0 and limits_nm[0] <= center_nm <= limits_nm[1]):
         return STATUS.no_minimum
-    if depth < max(MIN_SIGNIFICANCE * math.sqrt(k[model.DEPTH_VARIANCE, lane]), model.LEAST_DEPTH):
+    if depth < max(MIN_SIGNIFICANCE * math.sqrt(scalars[ROW.DEPTH_VARIANCE, lane]), LEAST_DEPTH):
         return STATUS.depth_within_noise
-    return STATUS.center_uncertain if math.sqrt(k[model.CENTER_VARIANCE, lane]) > MAX_CENTER_SIGMA_NM else STATUS.ok
+    return STATUS.center_uncertain if math.sqrt(scalars[ROW.CENTER_VARIANCE, lane]) > MAX_CENTER_SIGMA_NM else STATUS.ok
 
 
 def measure_rows(
@@ -279,6 +274,7 @@ def measure_rows(
 
     Parameters
     ----------
+    grid : of the n channels, as `grid_of` makes it.
     wanted : place of the continuum in `CONTINUA`.
     reflectance : (m, n), above 0. [-]
     sigma : one standard deviation, (m, n) or (n,); None to find it from the scatter of the channels. [-]
@@ -310,8 +306,9 @@ def measure_rows(
 
 
 def _work(grid: BandGrid) -> BandWork:
-    t, tie, nodes, room = tables_of(grid.ties, model.ROWS)
-    return BandWork(t, aligned(CHOICES), np.concatenate([tie, tie[:1]]), nodes, room)
+    """Room for eight spectra."""
+    table, tie, nodes, room = tables_of(grid.ties, ROW.ROWS)
+    return BandWork(table, aligned(CHOICES), np.concatenate([tie, tie[:1]]), nodes, room)
 
 
 def curve_of_centre(
@@ -323,14 +320,17 @@ def curve_of_centre(
     -------
     Wavelengths of the narrow window, or the wide one where that alone counts, and reflectance over continuum. [nm, -]
     """
-    work, c, count = _work(grid), CONTINUA.index(continuum_name), grid.wavelength_nm.size
-    t, inside = work.t, [*_range(grid.wavelength_nm, band.window_nm), *_range(grid.wavelength_nm, band.centre_nm)]
-    take_eight(np.ascontiguousarray(reflectance[None], float), 0, t, model.VALUES * count)
-    smooth(grid.smoother, t, model.VALUES * count, SMOOTHED * count)
-    tie_down(c, grid.ties, t, work.tie[c], work.nodes, work.room)
-    _remove(t, c, inside[0], inside[1], count)
-    wide_nm, wide_center, _, wide = _polynomial(grid, work, c, np.array(inside), model.WIDE)
-    nm, narrow_center, there, narrow = _polynomial(grid, work, c, np.array(inside), model.NARROW)
+    work, which, count = _work(grid), CONTINUA.index(continuum_name), grid.wavelength_nm.size
+    table, inside = (
+        work.table,
+        [*channels_within(grid.wavelength_nm, band.window_nm), *channels_within(grid.wavelength_nm, band.centre_nm)],
+    )
+    take_eight(np.ascontiguousarray(reflectance[None], float), 0, table, ROW.VALUES * count)
+    smooth(grid.smoother, table, ROW.VALUES * count, SMOOTHED * count)
+    tie_down(which, grid.ties, table, work.tie[which], work.nodes, work.room)
+    _remove(table, which, inside[0], inside[1], count)
+    wide_nm, wide_center, _, wide = _polynomial(grid, work, which, np.array(inside), WIDE)
+    nm, narrow_center, there, narrow = _polynomial(grid, work, which, np.array(inside), NARROW)
     if not there or abs(wide_center - narrow_center) < SAME_NM:
         return wide_nm, wide(wide_nm)
     part = float(np.clip((center_nm - narrow_center) / (wide_center - narrow_center), 0.0, 1.0))
@@ -339,148 +339,160 @@ def curve_of_centre(
 
 
 def _polynomial(
-    grid: BandGrid, work: BandWork, c: int, inside: IntArray, shares: tuple[float, float]
+    grid: BandGrid, work: BandWork, which: int, inside: IntArray, shares: tuple[float, float]
 ) -> tuple[FloatArray, float, bool, Any]:
     """Of a window where its channels count half or more, its minimum, whether there is one, and its polynomial. [nm]"""
-    t, k, count = work.t, work.k, grid.wavelength_nm.size
-    first, behind = window_of(grid, work, c, inside, *shares, shares == model.WIDE)
-    fit(t, k, model.RATIO + c, first, behind, count)
-    minima(k)
-    middle, half = float(k[model.MIDDLE_NM, 0]), float(k[model.HALF_NM, 0])
-    counting = grid.wavelength_nm[first:behind][t[model.HEFT * count + first : model.HEFT * count + behind, 0] >= 0.5]
-    coefficients = k[model.COEFFICIENTS : model.COEFFICIENTS + model.SIZE, 0].copy()
+    table, scalars, count = work.table, work.scalars, grid.wavelength_nm.size
+    first, behind = window_of(grid, work, which, inside, *shares, shares == WIDE)
+    fit(table, scalars, ROW.RATIO + which, first, behind, count)
+    minima(scalars)
+    middle, half = float(scalars[ROW.MIDDLE_NM, 0]), float(scalars[ROW.HALF_NM, 0])
+    counting = grid.wavelength_nm[first:behind][table[ROW.HEFT * count + first : ROW.HEFT * count + behind, 0] >= 0.5]
+    coefficients = scalars[ROW.COEFFICIENTS : ROW.COEFFICIENTS + SIZE, 0].copy()
     curve = np.polynomial.Polynomial(coefficients, (middle - half, middle + half), (-1.0, 1.0))
-    there = bool(k[model.INNER, 0] > 0 and k[model.HAS_MINIMUM, 0] > 0)
-    return np.linspace(counting[0], counting[-1], DRAWN), middle + half * float(k[model.LOWEST, 0]), there, curve
+    there = bool(scalars[ROW.INNER, 0] > 0 and scalars[ROW.HAS_MINIMUM, 0] > 0)
+    return np.linspace(counting[0], counting[-1], DRAWN), middle + half * float(scalars[ROW.LOWEST, 0]), there, curve
 
 
 @uncounted
 def _measure(
-    g: BandGrid, places: Places, values: FloatArray, noise: FloatArray, shifts: FloatArray, work: BandWork,
+    grid: BandGrid, places: Places, values: FloatArray, noise: FloatArray, shifts: FloatArray, work: BandWork,
     numbers: FloatArray, codes: Codes,
 ) -> None:  # fmt: skip
-    """`measure_rows` of some rows, into `found` and `codes`; noise of no rows is found from the scatter."""
-    t, count, low, high = work.t, g.wavelength_nm.size, places.low, places.high
+    """`measure_rows` of some rows, (m, n), into `numbers`, (m, 2, 18), and `codes`, (m, 2, 3).
+
+    `noise` is one standard deviation, (m, n), or (0, n) to find it from the scatter; `shifts` are (m, k, n).
+    """
+    table, count, low, high = work.table, grid.wavelength_nm.size, places.low, places.high
     for begin in range(0, len(values), LANES):
-        take_eight(values, begin, t, model.VALUES * count)
-        smooth(g.smoother, t, model.VALUES * count, SMOOTHED * count)
+        take_eight(values, begin, table, ROW.VALUES * count)
+        smooth(grid.smoother, table, ROW.VALUES * count, SMOOTHED * count)
         if len(noise) > 0:
-            take_eight(noise, begin, t, model.NOISE * count)
+            take_eight(noise, begin, table, ROW.NOISE * count)
         else:
-            _noise(t, count)
-        for c in range(len(CONTINUA)):
-            if g.ties.available[c]:
-                tie_down(c, g.ties, t, work.tie[c], work.nodes, work.room)
-                _remove(t, c, low, high, count)
-        for b in range(len(places.bands)):
+            _noise(table, count)
+        for which in range(len(CONTINUA)):
+            if grid.ties.available[which]:
+                tie_down(which, grid.ties, table, work.tie[which], work.nodes, work.room)
+                _remove(table, which, low, high, count)
+        for number in range(len(places.bands)):
             _measure_band(
-                g, places, work, b, shifts[begin:], numbers[begin : begin + LANES], codes[begin : begin + LANES]
+                grid, places, work, number, shifts[begin:], numbers[begin : begin + LANES], codes[begin : begin + LANES]
             )
 
 
 @uncounted
-def _noise(t: Any, count: int) -> None:
+def _noise(table: Any, count: int) -> None:
     """Scatter of the channels, taken to follow the root of the signal as that of photons does."""
-    brightest = load(t, model.VALUES * count)
+    brightest = load(table, ROW.VALUES * count)
     for j in range(1, count):
-        brightest = highest(brightest, load(t, model.VALUES * count + j))
+        brightest = highest(brightest, load(table, ROW.VALUES * count + j))
     for j in range(count):
-        signal = root(highest(load(t, SMOOTHED * count + j), brightest * LEAST_SIGNAL))
-        store(t, model.SPARE * count + j, signal)
-        store(t, model.X * count + j, load(t, model.VALUES * count + j) / signal)
+        signal = root(highest(load(table, SMOOTHED * count + j), brightest * LEAST_SIGNAL))
+        store(table, ROW.SPARE * count + j, signal)
+        store(table, ROW.X * count + j, load(table, ROW.VALUES * count + j) / signal)
     running_medians(
-        t, model.X * count, model.NOISE * count, count, WINDOW, t[model.ONTO * count :], t[model.WIDE_NM * count :]
+        table, ROW.X * count, ROW.NOISE * count, count, WINDOW, table[ROW.ONTO * count :], table[ROW.WIDE_NM * count :]
     )
     for j in range(count):
-        store(t, model.NOISE * count + j, load(t, model.NOISE * count + j) * load(t, model.SPARE * count + j))
+        store(table, ROW.NOISE * count + j, load(table, ROW.NOISE * count + j) * load(table, ROW.SPARE * count + j))
 
 
 @uncounted
-def _remove(t: Any, c: int, low: int, high: int, count: int) -> None:
-    """Both ratios to a continuum at some channels."""
+def _remove(table: Any, which: int, low: int, high: int, count: int) -> None:
+    """Reflectance and smoothed reflectance over a continuum's level at channels `low` to before `high`."""
     for j in range(low, high):
-        level = load(t, (LEVEL + c) * count + j)
+        level = load(table, (LEVEL + which) * count + j)
         per_level = choose(level, 1.0 / level, spread(1.0))
-        store(t, (model.PER_LEVEL + c) * count + j, per_level)
-        store(t, (model.RATIO + c) * count + j, load(t, model.VALUES * count + j) * per_level)
-        store(t, (model.CURVE + c) * count + j, load(t, SMOOTHED * count + j) * per_level)
+        store(table, (ROW.PER_LEVEL + which) * count + j, per_level)
+        store(table, (ROW.RATIO + which) * count + j, load(table, ROW.VALUES * count + j) * per_level)
+        store(table, (ROW.CURVE + which) * count + j, load(table, SMOOTHED * count + j) * per_level)
 
 
 @uncounted
 def _measure_band(
-    g: BandGrid, places: Places, work: BandWork, b: int, shifts: FloatArray, numbers: FloatArray, codes: Codes
+    grid: BandGrid, places: Places, work: BandWork, number: int, shifts: FloatArray, numbers: FloatArray, codes: Codes
 ) -> None:
-    """One band of eight spectra, each under the wanted continuum or the first that is fit for use."""
-    k, open_ = work.k, places.missing[b] == STATUS.ok
-    for c in range(len(CONTINUA)):
-        if open_ and g.ties.available[c]:
-            judge(g, places, work, b, c)
+    """One band of eight spectra, each under the wanted continuum or the first that is fit for use.
+
+    `shifts`, `numbers` and `codes` begin with the rows of these eight; at the end there may be fewer.
+    """
+    scalars, open_ = work.scalars, places.missing[number] == STATUS.ok
+    for which in range(len(CONTINUA)):
+        if open_ and grid.ties.available[which]:
+            judge(grid, places, work, number, which)
     waiting = False
     for lane in range(LANES):
-        k[TRIED, lane] = -1.0
+        scalars[TRIED, lane] = -1.0
         if lane < len(numbers):
-            code_row = codes[lane, b]
-            code_row[CODE.continuum], code_row[CODE.status], code_row[CODE.note] = -1, places.missing[b], STATUS.ok
+            code_row = codes[lane, number]
+            code_row[CODE.continuum], code_row[CODE.status], code_row[CODE.note] = -1, places.missing[number], STATUS.ok
             if open_:
                 code_row[CODE.note] = STATUS.no_tie_points if places.order[0] != places.wanted else STATUS.ok
-                waiting = go_on(places, k, lane, numbers[lane, b], code_row) or waiting
+                waiting = go_on(places, scalars, lane, numbers[lane, number], code_row) or waiting
     while waiting:
         waiting = False
-        chosen_continuum(g, places, work)
-        shape(g, work, places.bands[b], places.bias[b], places.least[b])
+        chosen_continuum(grid, places, work)
+        shape(grid, work, places.bands[number], places.bias[number], places.least[number])
         for lane in range(len(numbers)):
-            tried = int(k[TRIED, lane])
+            tried = int(scalars[TRIED, lane])
             if tried >= 0:
-                c, code = places.order[tried], verdict(places.limits_nm[b], k, lane)
-                record(places, k, lane, c, code, numbers[lane, b], codes[lane, b])
+                which, code = places.order[tried], verdict(places.limits_nm[number], scalars, lane)
+                record(places, scalars, lane, which, code, numbers[lane, number], codes[lane, number])
                 if code == STATUS.ok:
-                    _fill(g, work, lane, c, shifts[lane], numbers[lane, b])
-                    k[TRIED, lane] = -2.0
+                    _fill(grid, work, lane, which, shifts[lane], numbers[lane, number])
+                    scalars[TRIED, lane] = -2.0
                 else:
-                    waiting = go_on(places, k, lane, numbers[lane, b], codes[lane, b]) or waiting
+                    waiting = go_on(places, scalars, lane, numbers[lane, number], codes[lane, number]) or waiting
 
 
 @uncounted
-def _fill(g: BandGrid, work: BandWork, lane: int, c: int, shifts: FloatArray, numbers: FloatArray) -> None:
-    """The numbers of a band that is there, with what other continua and another definition of the centre differ by."""
-    k = work.k
-    numbers[NUMBER.center_nm], numbers[NUMBER.depth] = k[model.SHAPE_NM, lane], k[model.SHAPE_DEPTH, lane]
-    numbers[NUMBER.area_nm], numbers[NUMBER.asymmetry] = k[model.SHAPE_AREA, lane], k[model.SHAPE_ASYMMETRY, lane]
-    numbers[NUMBER.center_sigma_nm] = math.sqrt(k[model.CENTER_VARIANCE, lane])
-    numbers[NUMBER.depth_sigma] = math.sqrt(k[model.DEPTH_VARIANCE, lane])
-    numbers[NUMBER.area_sigma_nm] = math.sqrt(k[model.AREA_VARIANCE, lane])
-    numbers[NUMBER.asymmetry_sigma] = math.sqrt(k[model.ASYMMETRY_VARIANCE, lane])
+def _fill(grid: BandGrid, work: BandWork, lane: int, which: int, shifts: FloatArray, numbers: FloatArray) -> None:
+    """The numbers, (18,), of a band that is there, with what other continua and another definition of the centre differ
+    by. `shifts` are those of its spectrum, (k, n)."""
+    scalars = work.scalars
+    numbers[NUMBER.center_nm], numbers[NUMBER.depth] = scalars[ROW.SHAPE_NM, lane], scalars[ROW.SHAPE_DEPTH, lane]
+    numbers[NUMBER.area_nm], numbers[NUMBER.asymmetry] = (
+        scalars[ROW.SHAPE_AREA, lane],
+        scalars[ROW.SHAPE_ASYMMETRY, lane],
+    )
+    numbers[NUMBER.center_sigma_nm] = math.sqrt(scalars[ROW.CENTER_VARIANCE, lane])
+    numbers[NUMBER.depth_sigma] = math.sqrt(scalars[ROW.DEPTH_VARIANCE, lane])
+    numbers[NUMBER.area_sigma_nm] = math.sqrt(scalars[ROW.AREA_VARIANCE, lane])
+    numbers[NUMBER.asymmetry_sigma] = math.sqrt(scalars[ROW.ASYMMETRY_VARIANCE, lane])
     if shifts.shape[0] > 0:
-        numbers[NUMBER.center_calibration_nm] = _shared(work.t, model.WIDE_NM, lane, shifts)
-        numbers[NUMBER.depth_calibration] = _shared(work.t, model.WIDE_DEPTH, lane, shifts)
-        numbers[NUMBER.area_calibration_nm] = _shared(work.t, model.AREA, lane, shifts)
-    least = most = k[model.WIDE_CENTER_NM, lane]
+        numbers[NUMBER.center_calibration_nm] = _shared(work.table, ROW.WIDE_NM, lane, shifts)
+        numbers[NUMBER.depth_calibration] = _shared(work.table, ROW.WIDE_DEPTH, lane, shifts)
+        numbers[NUMBER.area_calibration_nm] = _shared(work.table, ROW.AREA, lane, shifts)
+    least = most = scalars[ROW.WIDE_CENTER_NM, lane]
     for other in range(len(CONTINUA)):
-        there = k[OTHER_NM + other, lane]
-        if other != c and g.ties.available[other] and not math.isnan(there):
+        there = scalars[OTHER_NM + other, lane]
+        if other != which and grid.ties.available[other] and not math.isnan(there):
             least, most = min(least, there), max(most, there)
     if most - least > SAME_NM:
         numbers[NUMBER.center_systematic_nm] = (most - least) / 2.0
-    numbers[NUMBER.center_gaussian_nm] = abs(k[model.GAUSSIAN_NM, lane] - k[model.SHAPE_NM, lane]) / 2.0
+    numbers[NUMBER.center_gaussian_nm] = abs(scalars[ROW.GAUSSIAN_NM, lane] - scalars[ROW.SHAPE_NM, lane]) / 2.0
     numbers[NUMBER.center_method_nm] = np.fmax(numbers[NUMBER.center_systematic_nm], numbers[NUMBER.center_gaussian_nm])
 
 
 @uncounted
-def _shared(t: Any, row: int, lane: int, shifts: FloatArray) -> float:
-    """Standard deviation of a quantity, its derivatives in rows, from errors that shift all channels, (k, n)."""
+def _shared(table: Any, row: int, lane: int, shifts: FloatArray) -> float:
+    """Standard deviation of a quantity from errors that channels share, (k, n); its derivatives are in `row`."""
     total = 0.0
     for error in range(shifts.shape[0]):
         moved = 0.0
         for j in range(shifts.shape[1]):
-            moved += t[row * shifts.shape[1] + j, lane] * shifts[error, j]
+            moved += table[row * shifts.shape[1] + j, lane] * shifts[error, j]
         total += moved * moved
     return math.sqrt(total)
 
 
 FEWEST_CHANNELS, MOST_CHANNELS = 20, 5000
+"""Usable channels of a spectrum."""
 BLOCK_ROWS = 2048
 """Spectra of a block, a tenth of a second of one core."""
 _NOTHING, _NAMES = np.empty(0), (*CONTINUA, "none")
+"""No channels; names of continua by their code, of which -1 is the last."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

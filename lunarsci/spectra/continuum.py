@@ -23,16 +23,25 @@ from lunarsci.spectra.noise import take_eight, uncounted
 ContinuumName = Literal["conic", "hull", "linear"]
 CONTINUA: tuple[ContinuumName, ...] = get_args(ContinuumName)
 CONIC, HULL, LINEAR = range(len(CONTINUA))
+"""Places in `CONTINUA`."""
 Indices = npt.NDArray[np.int64]
+"""Numbers of channels."""
 
 CONIC_TIES_NM = (700.0, 1345.0, 1580.0)
 """Tie points of the parabola of Ding et al. (2024), 10.1038/s41467-024-46233-8, Methods."""
 TERMS = len(CONIC_TIES_NM)
+"""Tie points that a continuum rests on at any one channel, at most."""
 SHOULDERS_NM = ((600.0, 850.0), (1250.0, 1650.0), (2150.0, 2600.0))
 """Where `linear` looks for its tie points; assumed, wide enough for olivine and pyroxene."""
 SMOOTHED, LEVEL, WEIGHT, NODE, TIE_ROWS = 0, 1, 1 + len(CONTINUA), 1 + len(CONTINUA) * (1 + TERMS), 14
-"""Rows, n of each, of the table that eight spectra of n channels are worked on in: smoothed reflectance; by continuum
-its level and the weights of its terms; whether the hull touches."""
+"""Rows, n of each, of the table (rows n, 8) that eight spectra of n channels are worked on in, `TIE_ROWS` in all.
+
+* `SMOOTHED`: smoothed reflectance.
+* `LEVEL`, a row for each continuum; `WEIGHT`, a row for each of its three terms.
+* `NODE`: 1 where the hull touches, else 0.
+
+Row `LEVEL` + k of channel j is at (`LEVEL` + k) n + j.
+"""
 
 
 class Ties(NamedTuple):
@@ -96,8 +105,8 @@ def continuum(name: ContinuumName, wavelength_nm: FloatArray, smoothed: FloatArr
             else "fewer than two band shoulders within the spectrum; give `continuum` hull"
         )
     values, levels = np.ascontiguousarray(smoothed, float), np.empty(smoothed.shape)
-    t, tie, nodes, workspace = tables_of(ties, TIE_ROWS)
-    _levels(CONTINUA.index(name), ties, values, t, tie[CONTINUA.index(name)], nodes, workspace, levels)
+    table, tie, nodes, workspace = tables_of(ties, TIE_ROWS)
+    _levels(CONTINUA.index(name), ties, values, table, tie[CONTINUA.index(name)], nodes, workspace, levels)
     return levels
 
 
@@ -105,10 +114,10 @@ def tables_of(ties: Ties, rows: int) -> tuple[FloatArray, Indices, Indices, Floa
     """What eight spectra on n channels are worked on in: a table of (rows n, 8), of which this module uses `TIE_ROWS`,
     the channels of the terms by continuum, (3, 3, 8), and workspaces of one spectrum, (n,) each."""
     count = ties.wavelength_nm.size
-    t, tie = aligned(rows * count), np.zeros((len(CONTINUA), TERMS, LANES), np.int64)
+    table, tie = aligned(rows * count), np.zeros((len(CONTINUA), TERMS, LANES), np.int64)
     tie[CONIC] = ties.conic[:, None]
-    t[WEIGHT * count : (WEIGHT + TERMS) * count] = ties.conic_weight.reshape(-1, 1)
-    return t, tie, np.zeros(count, np.int64), np.zeros(count)
+    table[WEIGHT * count : (WEIGHT + TERMS) * count] = ties.conic_weight.reshape(-1, 1)
+    return table, tie, np.zeros(count, np.int64), np.zeros(count)
 
 
 def upper_hull(x: FloatArray, y: FloatArray) -> list[int]:
@@ -119,7 +128,7 @@ def upper_hull(x: FloatArray, y: FloatArray) -> list[int]:
 
 @uncounted
 def hull_chain(x: FloatArray, y: FloatArray, hull: Indices) -> int:
-    """Put the upper convex hull of points (n,) with ascending x into `found` (n,); how many they are.
+    """Put the upper convex hull of points (n,) with ascending x into `hull` (n,); how many they are.
 
     Andrew (1979), 10.1016/0020-0190(79)90072-3. A point on a chord is not on the hull.
     """
@@ -143,23 +152,24 @@ def _levels(
     which: int,
     ties: Ties,
     smoothed: FloatArray,
-    t: Any,
+    table: Any,
     tie: Indices,
     nodes: Indices,
     workspace: FloatArray,
     out: FloatArray,
 ) -> None:
+    """Levels of a continuum, its place in `CONTINUA`, of smoothed spectra (m, n), into `out` (m, n)."""
     count = ties.wavelength_nm.size
     for begin in range(0, len(smoothed), LANES):
-        take_eight(smoothed, begin, t, SMOOTHED * count)
-        tie_down(which, ties, t, tie, nodes, workspace)
+        take_eight(smoothed, begin, table, SMOOTHED * count)
+        tie_down(which, ties, table, tie, nodes, workspace)
         for lane in range(min(LANES, len(smoothed) - begin)):
             for j in range(count):
-                out[begin + lane, j] = t[(LEVEL + which) * count + j, lane]
+                out[begin + lane, j] = table[(LEVEL + which) * count + j, lane]
 
 
 @uncounted
-def tie_down(which: int, ties: Ties, t: Any, tie: Indices, nodes: Indices, workspace: FloatArray) -> None:
+def tie_down(which: int, ties: Ties, table: Any, tie: Indices, nodes: Indices, workspace: FloatArray) -> None:
     """A continuum, its place in `CONTINUA`, of eight smoothed spectra: its LEVEL, and what that is made of.
 
     That is NODE, 1 where the hull touches and 0 elsewhere, and the channels of the other continua's terms, in `tie`;
@@ -169,82 +179,87 @@ def tie_down(which: int, ties: Ties, t: Any, tie: Indices, nodes: Indices, works
     if which == HULL:
         for lane in range(LANES):
             for j in range(count):
-                workspace[j] = t[SMOOTHED * count + j, lane]
-                t[NODE * count + j, lane] = 0.0
+                workspace[j] = table[SMOOTHED * count + j, lane]
+                table[NODE * count + j, lane] = 0.0
             for k in range(hull_chain(wavelength_nm, workspace, nodes)):
-                t[NODE * count + nodes[k], lane] = 1.0
-        _hull_lines(wavelength_nm, t)
+                table[NODE * count + nodes[k], lane] = 1.0
+        _hull_lines(wavelength_nm, table)
     elif which == LINEAR:
-        _straight_lines(ties, t, tie)
+        _straight_lines(ties, table, tie)
     else:
         conic = ties.conic
         for j in range(count):
-            level = load(t, WEIGHT * count + j) * load(t, SMOOTHED * count + conic[0])
-            level += load(t, (WEIGHT + 1) * count + j) * load(t, SMOOTHED * count + conic[1])
-            level += load(t, (WEIGHT + 2) * count + j) * load(t, SMOOTHED * count + conic[2])
-            store(t, LEVEL * count + j, level)
+            level = load(table, WEIGHT * count + j) * load(table, SMOOTHED * count + conic[0])
+            level += load(table, (WEIGHT + 1) * count + j) * load(table, SMOOTHED * count + conic[1])
+            level += load(table, (WEIGHT + 2) * count + j) * load(table, SMOOTHED * count + conic[2])
+            store(table, LEVEL * count + j, level)
 
 
 @uncounted
-def _hull_lines(wavelength_nm: FloatArray, t: Any) -> None:
+def _hull_lines(wavelength_nm: FloatArray, table: Any) -> None:
     """Straight lines between nodes, of which the first and the last channel are."""
     count = wavelength_nm.size
     level, before, behind = (LEVEL + HULL) * count, (WEIGHT + TERMS * HULL) * count, (WEIGHT + TERMS * HULL + 1) * count
     left, left_nm = spread(0.0), spread(0.0)
     for j in range(count):
-        node, here = load(t, NODE * count + j), load(t, SMOOTHED * count + j)
+        node, here = load(table, NODE * count + j), load(table, SMOOTHED * count + j)
         left, left_nm = choose(node, here, left), choose(node, spread(wavelength_nm[j]), left_nm)
-        store(t, level + j, left)
-        store(t, before + j, left_nm)
-    right, right_nm = load(t, SMOOTHED * count + count - 1), spread(wavelength_nm[count - 1])
+        store(table, level + j, left)
+        store(table, before + j, left_nm)
+    right, right_nm = load(table, SMOOTHED * count + count - 1), spread(wavelength_nm[count - 1])
     for j in range(count - 1, -1, -1):
-        node, left, left_nm = load(t, NODE * count + j), load(t, level + j), load(t, before + j)
+        node, left, left_nm = load(table, NODE * count + j), load(table, level + j), load(table, before + j)
         share = (wavelength_nm[j] - left_nm) / choose(right_nm - left_nm, right_nm - left_nm, spread(1.0))
-        store(t, before + j, 1.0 - share)
-        store(t, behind + j, share)
-        store(t, level + j, left * (1.0 - share) + right * share)
+        store(table, before + j, 1.0 - share)
+        store(table, behind + j, share)
+        store(table, level + j, left * (1.0 - share) + right * share)
         right, right_nm = choose(node, left, right), choose(node, left_nm, right_nm)
 
 
 @formula
 def _highest_of(value: Any, j: Any, at_nm: Any, highest: Any, place: Any, place_nm: Any) -> Any:
+    """The highest value so far, its channel and its wavelength, with channel j taken in."""
     above = value > highest
     return choose(above, value, highest), choose(above, j, place), choose(above, at_nm, place_nm)
 
 
 @uncounted
-def _straight_lines(ties: Ties, t: Any, tie: Indices) -> None:
+def _straight_lines(ties: Ties, table: Any, tie: Indices) -> None:
     """Between the highest points of the shoulders, two or three, extended beyond the first and the last."""
     wavelength_nm, shoulders, count, number = ties.wavelength_nm, ties.shoulders, ties.wavelength_nm.size, 0
     base = (WEIGHT + TERMS * LINEAR) * count
     for k in range(TERMS):
         low, high = shoulders[k, 0], shoulders[k, 1]
         if high > low:
-            highest, place, place_nm = load(t, SMOOTHED * count + low), spread(float(low)), spread(wavelength_nm[low])
+            highest, place, place_nm = (
+                load(table, SMOOTHED * count + low),
+                spread(float(low)),
+                spread(wavelength_nm[low]),
+            )
             for j in range(low + 1, high):
                 highest, place, place_nm = _highest_of(
-                    load(t, SMOOTHED * count + j), float(j), wavelength_nm[j], highest, place, place_nm
+                    load(table, SMOOTHED * count + j), float(j), wavelength_nm[j], highest, place, place_nm
                 )
-            store(t, base + 3 * number, highest)
-            store(t, base + 3 * number + 1, place)
-            store(t, base + 3 * number + 2, place_nm)
+            store(table, base + 3 * number, highest)
+            store(table, base + 3 * number + 1, place)
+            store(table, base + 3 * number + 2, place_nm)
             for lane in range(LANES):
-                tie[number, lane] = int(t[base + 3 * number + 1, lane])
+                tie[number, lane] = int(table[base + 3 * number + 1, lane])
             number += 1
-    _between(wavelength_nm, t, base, number)
+    _between(wavelength_nm, table, base, number)
 
 
 @uncounted
-def _between(wavelength_nm: FloatArray, t: Any, base: int, number: int) -> None:
+def _between(wavelength_nm: FloatArray, table: Any, base: int, number: int) -> None:
     """Weights and level of lines through two or three nodes: their values, channels and wavelengths, from `base` on."""
     count = wavelength_nm.size
     first, first_nm, second, place = (
-        load(t, base),
-        load(t, base + 2),
-        load(t, base + 3),
-        load(t, base + 4),
+        load(table, base),
+        load(table, base + 2),
+        load(table, base + 3),
+        load(table, base + 4),
     )
-    second_nm, third, third_nm = load(t, base + 5), load(t, base + 6), load(t, base + 8)
+    second_nm, third, third_nm = load(table, base + 5), load(table, base + 6), load(table, base + 8)
     if number < TERMS:
         place, third, third_nm = spread(float(count)), second, second_nm + 1.0
     per_nm, per_next = 1.0 / (second_nm - first_nm), 1.0 / (third_nm - second_nm)
@@ -254,7 +269,7 @@ def _between(wavelength_nm: FloatArray, t: Any, base: int, number: int) -> None:
         one = choose(inside, 1.0 - share, spread(0.0))
         two = choose(inside, share, 1.0 - behind)
         three = choose(inside, spread(0.0), behind)
-        store(t, base + j, one)
-        store(t, base + count + j, two)
-        store(t, base + 2 * count + j, three)
-        store(t, (LEVEL + LINEAR) * count + j, first * one + second * two + third * three)
+        store(table, base + j, one)
+        store(table, base + count + j, two)
+        store(table, base + 2 * count + j, three)
+        store(table, (LEVEL + LINEAR) * count + j, first * one + second * two + third * three)

@@ -319,7 +319,14 @@ def index_arrays(
 
 @dataclass(slots=True, eq=False)
 class _Group:
-    """Spectra on the same usable channels."""
+    """n spectra on the same c usable channels.
+
+    Attributes
+    ----------
+    wavelength_nm, reflectance, sigma : (c,), (n, c), and one standard deviation, (n, c). [nm, -, -]
+    shifts : changes of the reflectance by one standard deviation of each error that channels share, (n, c). [-]
+    smooth_nm : window of the smoothing, 0 for none; `smoothing` is its operator, (c, c).
+    """
 
     wavelength_nm: FloatArray
     reflectance: FloatArray

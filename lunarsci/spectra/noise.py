@@ -17,12 +17,12 @@ def uncounted(function: Callable[..., Any]) -> Any:
 
 
 @uncounted
-def take_eight(rows: FloatArray, begin: int, t: Any, first: int) -> None:
+def take_eight(rows: FloatArray, begin: int, table: Any, first: int) -> None:
     """Rows of (m, n) into the lanes of a table, from its row `first` on; the last one again where there are no more."""
     for lane in range(LANES):
         row = min(begin + lane, len(rows) - 1)
         for j in range(rows.shape[1]):
-            t[first + j, lane] = rows[row, j]
+            table[first + j, lane] = rows[row, j]
 
 
 SECOND_DIFFERENCE = float(np.sqrt(6.0))
@@ -44,6 +44,7 @@ def scatter_noise_rows(values: FloatArray, window: int = WINDOW) -> FloatArray:
 
 @uncounted
 def _noise_of_rows(values: FloatArray, window: int, work: Any, noise: FloatArray) -> None:
+    """`scatter_noise_rows` into `noise` (rows, n), with a workspace of (3 n + `window`, 8)."""
     channels = values.shape[1]
     for begin in range(0, len(values), LANES):
         take_eight(values, begin, work, 0)
@@ -54,19 +55,19 @@ def _noise_of_rows(values: FloatArray, window: int, work: Any, noise: FloatArray
 
 
 @uncounted
-def running_medians(t: Any, source: int, out: int, channels: int, window: int, second: Any, ordered: Any) -> None:
+def running_medians(table: Any, source: int, out: int, channels: int, window: int, second: Any, ordered: Any) -> None:
     """Robust standard deviations of eight spectra, from the medians of absolute second differences in windows.
 
-    They lie in rows of `t` from `source` on, what is found goes to those from `out` on. `window` is an odd number of
+    They lie in rows of `table` from `source` on; the result goes to those from `out` on. `window` is an odd number of
     channels, 5 at least; `second` and `ordered` are room for so many rows as there are channels, and in a window.
     """
     half = (min(window, channels - 2) - 1) // 2
     size, largest = 2 * half + 1, spread(0.0)
     for j in range(channels):
-        largest = highest(largest, _size(load(t, source + j)))
+        largest = highest(largest, _size(load(table, source + j)))
     for j in range(channels - 2):
-        middle = load(t, source + j + 1)
-        store(second, j, _size((load(t, source + j + 2) - middle) - (middle - load(t, source + j))))
+        middle = load(table, source + j + 1)
+        store(second, j, _size((load(table, source + j + 2) - middle) - (middle - load(table, source + j))))
     for j in range(size):
         _insert(ordered, j, load(second, j))
     first, last = half + 1, channels - 2 - half
@@ -74,16 +75,18 @@ def running_medians(t: Any, source: int, out: int, channels: int, window: int, s
         if first < j <= last:
             _replace(ordered, size, load(second, j - half - 2), load(second, j + half - 1))
         scatter = load(ordered, half) * NORMAL_MAD / SECOND_DIFFERENCE
-        store(t, out + j, highest(scatter, largest * EPSILON))
+        store(table, out + j, highest(scatter, largest * EPSILON))
 
 
 @formula
 def _size(value: Any) -> Any:
+    """Absolute value."""
     return abs(value)
 
 
 @formula
 def _apart(one: Any, other: Any) -> Any:
+    """The lower and the higher of two."""
     return lowest(one, other), highest(one, other)
 
 
@@ -98,6 +101,7 @@ def _insert(ordered: Any, count: int, new: Any) -> None:
 
 @formula
 def _without(here: Any, behind: Any, old: Any) -> Any:
+    """A row of ascending ones once `old` is out: itself below `old`, from there on the one behind it."""
     return choose(here < old, here, behind)
 
 

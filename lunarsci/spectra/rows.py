@@ -1,4 +1,8 @@
-"""Lines, fields and numbers of text tables.
+"""Lines, fields and numbers of text tables as people and instruments write them, for the readers of spectra.
+
+A separator is recognised, numbers may have decimal commas, cells may be missing, and what is wrong is named with its
+line and column. Tables whose form lunarsci lays down (its own, states, trials, lists of pictures) are CSV with a header
+and are read by `lunarsci.io.tables`.
 
 pandas reads plain numbers where they are many; a wrong cell with its line and column, decimal commas beside points and
 missing cells of spreadsheets in one table it does not tell.
@@ -25,9 +29,9 @@ UNITS = ("nm", "um", "µm", "μm", "micron", "microns", "%", "percent", "nanomet
 DECIMAL_COMMA = ";\t"
 """Separators beside which a comma within a number is its decimal point."""
 _LONGEST_SHOWN = 40
-
-
+"""Characters of a cell in a message, at most."""
 _COMMENT = ("#", "%", "!")
+"""A line that begins with one of these is a comment."""
 _ORDINATES = ("%R", "%T", "%r", "%t")
 """Lines of heads of spectrometers that name what is measured."""
 _NUMBER = re.compile(r"[+-]?(?:[0-9]++\.?+[0-9]*+|\.[0-9]++)(?:[eEdD][+-]?[0-9]+)?|[+-]?inf(?:inity)?", re.IGNORECASE)
@@ -40,7 +44,9 @@ _MISSING = {
 }
 """Cells without a number; those of spreadsheets and of C on Windows among them."""
 _LINES_LOOKED_AT = 50
+"""Lines from which the separator is taken."""
 _PLAIN = b"0123456789+-.eE \t\n"
+"""Bytes of plain numbers and what may stand around them, which pandas reads as we do."""
 _READ_AT_ONCE = 1_000_000
 """Characters that are made numbers at a time."""
 _MANY = 20_000
@@ -85,20 +91,23 @@ def split_fields(line: str, separator: str, place: str) -> tuple[str, ...]:
     return tuple(f.strip() for f in next(fields, ()))
 
 
-def check_widths(rows: Sequence[Row], file: str, names: int | None = None) -> int:
-    """Number of fields of every row; `names` is that of the header. Raises DataError naming the line that differs."""
+def check_widths(rows: Sequence[Row], file: str, header_width: int | None = None) -> int:
+    """Number of fields of every row; `header_width` is that of the header, None without one.
+
+    Raises DataError naming the line that differs.
+    """
     widths = Counter(len(row.fields) for row in rows)
-    expected = names if names is not None and names in widths else widths.most_common(1)[0][0]
+    expected = header_width if header_width is not None and header_width in widths else widths.most_common(1)[0][0]
     for row in rows:
         if len(row.fields) != expected:
             raise DataError(
                 f"{file}: line {row.line} has {len(row.fields)} fields, the others {expected} (truncated download, or "
                 "another separator?); fetch the file again or correct the line"
             )
-    if names is not None and names != expected:
+    if header_width is not None and header_width != expected:
         raise DataError(
-            f"{file}: the header has {names} names and the rows {expected} fields; give each column one name (in "
-            "quotes if it has blanks)"
+            f"{file}: the header has {header_width} names and the rows {expected} fields; give each column one name "
+            "(in quotes if it has blanks)"
         )
     return expected
 
@@ -168,6 +177,7 @@ def _plain_numbers(lines: Sequence[str], separator: str) -> FloatArray | None:
 
 
 def _bad_cell(row: Row, column: int, label: str, file: str, decimal_comma: bool) -> str:
+    """The message on a cell that is no number, with what is likely to mend it."""
     cell = row.fields[column]
     comma = "," in cell and not decimal_comma
     mend = "; correct it, leave it blank if unknown, or take out a column that is no spectrum"
@@ -187,7 +197,11 @@ def quoted(text: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class NamedTable:
-    """A table of text below the names of its columns, which are in lower case."""
+    """A table of text below the names of its columns, made by `named_table`.
+
+    `names` are in lower case, none of them twice; every one of `rows` has as many fields. With `decimal_comma` a comma
+    may stand for the point of a number.
+    """
 
     file: str
     names: tuple[str, ...]

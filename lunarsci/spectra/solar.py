@@ -1,6 +1,6 @@
 """Solar spectral irradiance at 1 AU: the two standards that come with lunarsci, and channel averages.
 
-How far the Sun is from the Moon, which its irradiance there depends on.
+`sun_moon_distance_au` has how far the Sun is from the Moon, which its irradiance there depends on.
 """
 
 import warnings

@@ -1,8 +1,7 @@
 """Shares of spectra as mixtures of end members: alone, or together as mixtures of the same powders.
 
-Mixing laws are weighted by their evidence; what comes out is one of the two estimates of `shares`.
-
-Spectra of one suite as mixtures of the same powders: model, objective and normal equations.
+Mixing laws are weighted by their evidence; what comes out is one of the two estimates of `shares`. The model of s
+spectra of one sample series (`MixtureSeries`):
 
 ln R_j = ln R(sum_i F_ji x_i) + g_j0 + g_j1 u + g_j2 (u^2 - mean),  F_ji ~ f_ji c_i,  f_ji = a_ji^2 / sum_i a_ji^2,
 
@@ -38,19 +37,22 @@ from lunarsci.spectra.spectrum import Spectrum
 NEUTRAL = np.array([0.1, 0.05, 0.02])
 """Standard deviations of g; assumed."""
 ORIGIN_UM = 1.45
+"""Wavelength from which u of the module's equation is counted."""
 GAUGE = 0.05
 """How tightly the length of a, which has no meaning, is held at 1."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Equations:
-    """Objective, half its slope and curvature, in blocks: parameters of the powders, and of each spectrum.
+    """Objective, half of how fast it falls, and half its curvature (Gauss-Newton), at one point of `MixtureSeries`.
+
+    The p shared parameters are those of the powders; each of s spectra has q of its own.
 
     Attributes
     ----------
-    value : chi-square and the prior's share.
-    shared_slope, local_slope : (p,), (s, q).
-    shared, across, local : (p, p), (s, p, q), (s, q, q).
+    value : chi-square and the prior's share. [-]
+    shared_slope, local_slope : (p,), (s, q) by shared and own parameters.
+    shared, across, local : (p, p), (s, p, q), (s, q, q) curvature among shared, between shared and own, among own ones.
     """
 
     value: float
@@ -63,7 +65,10 @@ class Equations:
 
 @dataclass(frozen=True, eq=False)
 class MixtureSeries:
-    """Spectra and what is known of them.
+    """s spectra on n channels and what is known of them: the objective, and its parameters.
+
+    `shared` parameters, (p,), are those of `powders`; `local` ones, (s, q), of each spectrum: m roots of the fractions,
+    a of the module's equation, 3 of g there, and the amount of iron if there is `weathering`.
 
     Attributes
     ----------
@@ -100,7 +105,7 @@ class MixtureSeries:
 
     @cached_property
     def neutral(self) -> FloatArray:
-        """(3, n)."""
+        """(3, n) what g of the module's equation is multiplied by: 1, u and u^2 - mean."""
         u = self.wavelength_nm / 1e3 - ORIGIN_UM
         return np.array([np.ones_like(u), u, u**2 - np.mean(u**2)])
 
@@ -128,11 +133,13 @@ class MixtureSeries:
         return float(np.sum(residual**2)) + self._prior(shared, local)
 
     def _prior(self, shared: FloatArray, local: FloatArray) -> float:
+        """The prior's share of the objective, with the gauge."""
         length = np.sum(local[:, : self.minerals] ** 2, axis=1)
         gauge = float(np.sum(((length - 1) / GAUGE) ** 2))
         return float(np.sum(shared**2) + np.sum((local / self.scale) ** 2)) + gauge
 
     def _effective(self, shared: FloatArray, local: FloatArray) -> FloatArray:
+        """F of the module's equation, shares of the cross-section, (s, m)."""
         weighted = local[:, : self.minerals] ** 2 * self.powders.section(shared)
         return np.asarray(weighted / weighted.sum(axis=1, keepdims=True))
 
@@ -247,10 +254,10 @@ def shares(roots: FloatArray) -> FloatArray:
 
 
 def unmix(suite: MixtureSeries) -> SharesPosterior:
-    """Fit all spectra of a suite with powders common to all.
+    """Fit all spectra of a sample series with powders common to all.
 
     One spectrum alone is started from equal shares and from each mineral in front, and the lowest minimum counts; a
-    suite from equal shares (on seven laboratory suites of 3 to 20 mixtures no other start ended lower).
+    series from equal shares (on seven laboratory series of 3 to 20 mixtures no other start ended lower).
 
     References
     ----------
@@ -328,6 +335,7 @@ MODEL_ERROR = 0.03
 with it 68 % intervals of laboratory mixtures hold the truth in 67-75 %, all samples of their series left out of the
 library."""
 LEAST_MINERALS, MOST_SPECTRA = 2, 500
+"""Of a series of mixtures."""
 
 
 def estimate_series(

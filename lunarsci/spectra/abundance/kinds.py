@@ -1,4 +1,4 @@
-"""The kind of target: mixed powders, powder of a dark rock, weathered soil, solid rock; or a stranger.
+"""The kind of target: mixed powders, powder of a dark rock, weathered soil, solid rock; or an outlier.
 
 Nine numbers of a spectrum, means over at least 50 nm so that neither resolution nor smoothing changes them: ln R near
 750 nm, and ln R elsewhere less that. Each component of a kind is a law of them with the tails of Student's t, whose
@@ -43,6 +43,7 @@ slope does not explain."""
 FREEDOM = 10.0
 """Degrees of freedom of the tails; assumed."""
 LEAST_FEATURES = 6
+"""Features, of nine, without which no kind is named."""
 SURE = {"powder-mixture": 0.9, "dark-rock-powder": 0.8, "weathered-soil": 0.8, "solid-rock": np.inf}
 """Probability from which a kind is named; assumed."""
 WEATHERED = 0.5
@@ -96,8 +97,8 @@ class KindModel:
 
     Attributes
     ----------
-    components : (k,) names; `kinds` the kind of each.
-    mean, covariance : (k, 9) and (k, 9, 9).
+    components : k names; `kinds` the kind of each.
+    mean, covariance : (k, 9) and (k, 9, 9), of the features in the order of `WINDOWS_NM`. [ln R]
     """
 
     components: tuple[str, ...]

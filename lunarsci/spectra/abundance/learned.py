@@ -24,6 +24,7 @@ TABLE = "share_networks.npz"
 STEP_NM = 20.0
 """Between channels of the networks."""
 GRID_NM = np.arange(450.0, 2451.0, STEP_NM)
+"""Channels on which networks see spectra, (101,)."""
 SHARES = np.linspace(0.0, 1.0, 21)
 """Shares that the networks have an output for."""
 NOISE = 0.02
@@ -39,9 +40,13 @@ AT_ONCE = 4096
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Network:
-    """Layers of one network, (w, b) each, and mean and scale of what goes in.
+    """One network, as `unpacked` takes it from its file: from f features and 4 flags of minerals to 4 x 21 odds.
 
-    Layers but the last end in max(x, 0). `shaped` : whether it sees shapes below the hull.
+    Attributes
+    ----------
+    layers : weights (i, o) and biases (o,) of each, from i numbers to o; all but the last end in max(x, 0).
+    mean, scale : (f,) of the features learned from.
+    shaped : whether it sees shapes below the hull.
     """
 
     layers: tuple[tuple[FloatArray, FloatArray], ...]
@@ -63,7 +68,13 @@ class Network:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Background:
-    """Normal law of ln R of spectra learned from: mean (101,), factors (k, 101), deviation of each channel alone."""
+    """Normal law of ln R of spectra learned from, on `GRID_NM`.
+
+    Attributes
+    ----------
+    mean, unique : (101,) mean, and standard deviation of each channel alone. [ln R]
+    factors : (k, 101); the covariance is factors' factors + unique^2 on the diagonal.
+    """
 
     mean: FloatArray
     factors: FloatArray
@@ -88,9 +99,15 @@ class Background:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Foretold:
-    """Probabilities of `SHARES` of each mineral, (n, 4, 21); of the spectra `ln_distance` (`Background`), the part of
-    `GRID_NM` that is `missing`, and `shallow`, ln of `LEAST_DEPTH` over the depth of the deepest band, 0 if that is
-    deeper, at most ln 3; (n,)."""
+    """What networks say of n spectra.
+
+    Attributes
+    ----------
+    probabilities : (n, 4, 21) of `SHARES` of each mineral of `WEIGHED`.
+    ln_distance : (n,) from the spectra learned from (`Background.ln_distance`).
+    missing : (n,) part of `GRID_NM` without a channel, 0 to 1.
+    shallow : (n,) ln of `LEAST_DEPTH` over the depth of the deepest band, 0 if that is deeper, at most ln 3.
+    """
 
     probabilities: FloatArray
     ln_distance: FloatArray

@@ -51,7 +51,8 @@ def iron_absorption(wavelength_nm: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Weathering:
-    """Absorption by iron on given channels; its amount is exp(-1 + 1.5 z), with z standard normal."""
+    """Absorption by iron on given channels, `absorption` (n,), 1 at 1000 nm; its amount is exp(-1 + 1.5 z), with z
+    standard normal. [-]"""
 
     absorption: FloatArray
 
@@ -345,7 +346,7 @@ class Powders:
 
     Attributes
     ----------
-    places : of the parameters of each mineral's shapes.
+    places : of the parameters of each mineral's shapes, among all (size,).
     sections : derivatives of the logarithm of each mineral's cross-section per volume by the parameters, (m, size).
     """
 

@@ -7,7 +7,7 @@ of freedom and a scale that grows from end members, r = 0 or 1, to pairs:
 
 to which the error of the ratio itself is added in quadrature. One pyroxene between both, such as pigeonite, has the
 bands of a pair. `nbsr_calibrations.csv` has c0 and c1, learned from powders, mixtures and meteorites of known modes,
-and how often intervals hold of suites left out.
+and how often intervals hold of sample series left out.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

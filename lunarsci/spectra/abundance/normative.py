@@ -30,6 +30,7 @@ FEATURES = {"plagioclase_wt": ("darkness", "depth_2um"), "feo_wt": ("darkness", 
 ORIGIN = 0.42
 """Of the angle `darkness`, after the titanium parameter of Lucey et al. (2000), whose ratio is at 415 nm."""
 LEVELS = {"": 0.6827, "95": 0.95}
+"""Probability of each interval, by the end of its names `low` and `high`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,9 +148,12 @@ def _from_rows(rows: Sequence[Mapping[str, str]]) -> SoilRegression:
 def normative(spectrum: Spectrum, kind: KindVerdict, laws: Mapping[str, SoilRegression] | None = None) -> Normative:
     """Plagioclase of the norm, FeO and TiO2 of a soil, each with its error over missions left out.
 
-    Not determined for what is no weathered soil, and for strangers. Beyond the soils learned from errors widen, and it
+    Not determined for what is no weathered soil, and for outliers. Beyond the soils learned from errors widen, and it
     is out of domain. The level must be that of a laboratory at 30 deg incidence: 20 % more of it adds 5 to 10 wt % of
     plagioclase.
+
+    `laws` are the regressions by quantity, those embedded where left out. The status speaks of the 11 soils that these
+    were learned from (`soil_normative.csv`), whichever are given.
 
     References
     ----------
@@ -169,6 +173,7 @@ def normative(spectrum: Spectrum, kind: KindVerdict, laws: Mapping[str, SoilRegr
 
 
 def _unfit(kind: KindVerdict) -> str:
+    """Why a kind of target is none that was learned from; '' where it is one."""
     if not kind.is_weathered:
         return f"no weathered soil ({kind.kind})"
     if kind.outlier:
@@ -179,6 +184,7 @@ def _unfit(kind: KindVerdict) -> str:
 
 
 TITLES = {"plagioclase_wt": "normative plagioclase [wt %]", "feo_wt": "FeO [wt %]", "tio2_wt": "TiO$_2$ [wt %]"}
+"""Of the panels, by quantity."""
 COLOR = BLUE
 
 

@@ -18,6 +18,10 @@ from lunarsci.spectra.mgm.figure import COLORS, OTHER
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+VALUE_AND_ENDS = ("fraction", "low", "high", "low95", "high95")
+"""Fields of a `MineralFraction` that a row of a picture shows, and its keys of JSON: the share, then the ends of its 68
+and 95 % intervals."""
+
 
 @dataclass(frozen=True, slots=True)
 class MineralFraction:
@@ -76,7 +80,7 @@ class Abundance:
         return [mineral for mineral in WITH_BANDS if mineral not in {item.mineral for item in self.fractions}]
 
     def to_dict(self) -> dict[str, Any]:
-        """The key `abundance` of `lunarsci spectra fit --json`."""
+        """The key `abundance` of `lunarsci spectra fit --json` and `lunarsci spectra unmix --json`."""
         shares = {item.mineral: _values(item) for item in self.fractions}
         return {
             "method": self.method,
@@ -93,7 +97,8 @@ class Abundance:
 
 
 def _values(item: MineralFraction) -> dict[str, float]:
-    return {name: getattr(item, name) for name in (*ENDS, "present")}
+    """The numbers of a share as JSON has them."""
+    return {name: getattr(item, name) for name in (*VALUE_AND_ENDS, "present")}
 
 
 def open_share(name: str) -> MineralFraction:
@@ -108,6 +113,7 @@ def refused(id: str, method: str, minerals: Sequence[str], reason: str) -> Abund
 
 
 PER_PAGE = 40
+"""Rows of a page."""
 BOULDERS = "Chang'E-4 boulders by Ding et al. (2024), 10.1038/s41467-024-46233-8: OPX 46 % of pyroxene, olivine 20-30 %"
 """What is published of solid rocks seen by a rover, to be set beside their ratios."""
 
@@ -120,15 +126,15 @@ def share_pages(abundances: Sequence[Abundance]) -> "Iterator[Figure]":
         for one in abundances:
             shares = [item for item in one.fractions if item.mineral == mineral]
             face = color if one.in_domain else "white"
-            bars.append((100 * np.array([getattr(shares[0], end) for end in ENDS]), color, face) if shares else None)
+            values = [getattr(shares[0], name) for name in VALUE_AND_ENDS] if shares else []
+            bars.append((100 * np.array(values), color, face) if shares else None)
         panels.append(BarPanel({"title": mineral, "xlabel": "share [%]", "xlim": (-3, 103)}, bars))
     text = "bars: 68 and 95 %; open: outside the domain; no dot: not determined"
     return bar_pages([one.id for one in abundances], panels, f"mineral shares by {abundances[0].method}; {text}")
 
 
-ENDS = ("fraction", "low", "high", "low95", "high95")
 Bar: TypeAlias = tuple[FloatArray, str, str] | None
-"""Value, low, high, low95 and high95 of a row; colours of bar and dot."""
+"""Value, low, high, low95 and high95 of a row, (5,), in the unit of its panel; colours of bar and dot. None: no bar."""
 
 
 class BarPanel(NamedTuple):
@@ -156,6 +162,7 @@ def bar_pages(names: Sequence[str], panels: Sequence[BarPanel], text: str) -> "I
 
 
 def _draw(axes: Any, row: int, bar: Bar) -> None:
+    """The bar of a row, its dot on both intervals."""
     if bar is None:
         return
     (value, low, high, low95, high95), color, face = bar

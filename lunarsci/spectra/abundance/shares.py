@@ -11,7 +11,7 @@ pooled probabilities p of the shares are made sharper or blunter, and mixed with
 That a mineral is there has the odds that p' gives to shares above 5 %, brought to a power and multiplied.
 
 `share_calibration.csv` has the coefficients, each learned from spectra of known modes by the logarithmic score, with
-networks and end members that knew nothing of their suite; and the levels at which intervals hold 68 and 95 %.
+networks and end members that knew nothing of their sample series; and the levels at which intervals hold 68 and 95 %.
 
 Where it is asked for, shares of minerals in rocks that were brought back from the Moon are the prior: a mixture of
 Dirichlet distributions, one about each rock of `lunar_rock_modes.csv`, of parameters 1 + modes/h (Aitchison & Lauder
@@ -45,6 +45,7 @@ from lunarsci.spectra.abundance.result import Abundance, MineralFraction
 
 ROCK_MODES = "lunar_rock_modes.csv"
 PRIOR = "lunar-rocks"
+"""Name of the prior of rocks that were brought back, and the table of their modes."""
 RETURNED = 0.9
 """Probability that a rock is of the kinds that were returned, before its spectrum is seen; assumed."""
 POWDERS = (0.5, 0.28, 0.13, 0.09)
@@ -141,7 +142,7 @@ GOOD = 0.15
 """How near all shares must be for a good answer; assumed."""
 LIKELY = 0.7
 """Probability of each share being so near from which a spectrum is in domain; measured: then 9 in 10 had all shares so
-near, of spectra of suites left out (`share_validation.csv`)."""
+near, of spectra of sample series left out (`share_validation.csv`)."""
 SOME = float(SHARES[1])
 """Share above which a mineral counts as there: the least that the networks know."""
 OPEN = (0.1, 0.9)
@@ -149,15 +150,21 @@ OPEN = (0.1, 0.9)
 NOTHING = 0.5
 """Probability of knowing nothing from which no share is named: the more probable."""
 FINE = np.linspace(0.0, 1.0, 201)
+"""Shares at which distributions are tabulated."""
 MAFIC = ("olivine", "orthopyroxene", "clinopyroxene")
 RATIOS = {"olivine_in_mafic": (("olivine",), MAFIC), "orthopyroxene_in_pyroxene": (("orthopyroxene",), MAFIC[1:])}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mixed:
-    """What mixtures of end members say: probabilities of `SHARES`, (n, 4, 21); what they miss, (n,); rms of ln R, (n,).
+    """What mixtures of end members say of n spectra.
 
-    `series` : whether the spectra were taken together. `trusted` : whether the end members are the user's own.
+    Attributes
+    ----------
+    probabilities : (n, 4, 21) of `SHARES` of each mineral.
+    strange, rms_ln : (n,) what mixtures miss, and root mean square of ln R less theirs.
+    series : whether the spectra were taken together.
+    trusted : whether the end members are the user's own.
     """
 
     probabilities: FloatArray
@@ -174,10 +181,15 @@ class Mixed:
 
 @dataclass(frozen=True, eq=False)
 class CalibratedShares:
-    """Calibrated probabilities of `SHARES` (n, 4, 21) of n spectra, and of knowing nothing, `doubt` (n,).
+    """Calibrated shares of n spectra, which `abundances` makes results of.
 
-    `weight` (n,) is that of mixtures of end members. With the prior of returned rocks `alone` is the answer without it,
-    and `returned` (n,) are the probabilities that the rocks are like those.
+    Attributes
+    ----------
+    probabilities : (n, 4, 21) of `SHARES` of each mineral of `WEIGHED`.
+    doubt : (n,) probability of knowing nothing.
+    weight : (n,) of mixtures of end members, beside networks.
+    alone, returned : with the prior of returned rocks, the answer without it, and the probabilities, (n,), that the
+        rocks are like those.
     """
 
     probabilities: FloatArray

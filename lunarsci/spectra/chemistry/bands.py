@@ -318,7 +318,7 @@ measured, among 0, 0.15 and 0.3."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChondriteLaw:
-    """Mean (5,) and covariance (5, 5) of `BANDS` and `COMPOSITION`."""
+    """Normal law of ordinary chondrites: mean (5,), covariance (5, 5) of `BANDS` and `COMPOSITION` in their units."""
 
     mean: FloatArray
     covariance: FloatArray

@@ -1,8 +1,7 @@
 """The regressions of `band_chemistry.csv`: a quantity from a band centre or an area ratio.
 
-The plane of the two band centres (Adams 1974, 10.1029/JB079i032p04829) and what may lie where in it.
-
-What a regression says of one spectrum, and of many.
+Each is used only where the two band centres lie in the part of their plane (Adams 1974, 10.1029/JB079i032p04829) that
+it was made for. Answers are `Estimates` of many spectra, or a `CompositionEstimate` of one.
 """
 
 import math

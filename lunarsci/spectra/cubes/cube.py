@@ -29,7 +29,9 @@ SYNTHETIC = "SYNTHETIC"
 """In the remarks of a cube that is made up."""
 FEWEST_CHANNELS = 5
 MOST_VALUES = 10**13
+"""Of a cube; more are a broken header."""
 LINES_LOOKED_AT = 16
+"""Lines, evenly spread, from which the scale of the numbers is judged."""
 _ROTATED = re.compile(r"^(pca?|mnf|ica?|principal component|minimum noise|eigen)\b.*\d", re.IGNORECASE)
 
 
@@ -42,7 +44,8 @@ class Source(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class FlatFile:
-    """Numbers in a flat file, `interleave` bsq, bil or bip; `offset` in bytes."""
+    """Numbers in a flat file: `dtype` as NumPy names it, byte order included; `offset` bytes before the first; lines,
+    samples and channels of the image; `interleave` bsq, bil or bip, the order in which they follow."""
 
     path: str
     dtype: str
@@ -131,10 +134,17 @@ class Stated:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
-    """What a file says of itself, in its own order of channels and its own units; see `Cube`.
+    """What a file says of itself, in its own order of its c channels and its own units; see `Cube`. None: not stated.
 
-    `gain`, `offset` : of each channel, reflectance = gain number + offset; `scale` : what reflectances were multiplied
-    by. None where the file has none. `names` : of the channels.
+    Attributes
+    ----------
+    shape : lines and samples.
+    wavelength, fwhm : (c,) in `unit`.
+    bad : (c,) True for channels that the file calls bad.
+    gain, offset : (c,) reflectance = gain number + offset.
+    scale : what reflectances were multiplied by.
+    ignored : numbers that stand for no value.
+    names : of the channels.
     """
 
     name: str
@@ -337,6 +347,7 @@ def _wavelengths(layout: Layout, stated: Stated) -> tuple[FloatArray, list[str]]
 
 
 def _check_order(cube: Cube) -> None:
+    """Raises DataError for wavelengths that come twice or too few good channels; warns of odd order."""
     same = np.flatnonzero(np.diff(cube.wavelength_nm) == 0)
     if same.size:
         value = cube.wavelength_nm[same[0]]

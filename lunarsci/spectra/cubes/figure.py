@@ -36,7 +36,7 @@ _ERRORS = ("_sigma", "_systematic", "_gaussian", "_method", "_low", "_high", "_i
 
 @dataclass(frozen=True, slots=True)
 class _Ground:
-    """Kilometres to the east and north that one sample and one line of a map go, in its middle; what north is."""
+    """How far one sample and one line of a map go in its middle, to the east and to the north [km]; what north is."""
 
     sample: tuple[float, float]
     line: tuple[float, float]
@@ -84,6 +84,7 @@ def is_map_of(path: Path, record: Mapping[str, Any], provenance: Mapping[str, An
 
 
 def _page(path: Path, record: Mapping[str, Any], layers: Sequence[Mapping[str, Any]]) -> Figure:
+    """One page: the flags, then a panel for each of some layers."""
     lines, samples = shape = record["map"]["lines"], record["map"]["samples"]
     numbers = {layer["name"]: number for number, layer in enumerate(record["layers"], 1)}
     ground = _ground(path, shape, numbers)
@@ -119,6 +120,7 @@ def _page(path: Path, record: Mapping[str, Any], layers: Sequence[Mapping[str, A
 
 
 def _title(record: Mapping[str, Any], squeezed: float, ground: _Ground | None) -> str:
+    """Which part of the cube it is, and how to read the page; `squeezed` is how much longer panels are than the map."""
     region, parts = record["map"], []
     for name in ("sample", "line"):
         first, step = region[f"first_{name}"], region["every"]
@@ -141,6 +143,7 @@ def _pixels(path: Path, name: str, number: int, part: tuple[slice, ...]) -> Floa
 def _draw(
     figure: Figure, panel: Any, image: FloatArray, layer: Mapping[str, Any] | None, extent: tuple[float, ...]
 ) -> None:
+    """A layer, or the flags where it is None, with its scale; `extent` in km or pixels, as imshow takes it."""
     if layer is None:
         codes = _worst_flag(image)
         panel.imshow(codes, ListedColormap(FLAG_COLORS), vmin=-0.5, vmax=5.5, extent=extent, interpolation="nearest")

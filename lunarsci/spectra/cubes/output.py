@@ -126,6 +126,7 @@ class MapFile:
         return lines * samples * sum(np.dtype(self.dtype(layer)).itemsize for layer in self.layers)
 
     def _netcdf(self, path: Path, blocks: Iterable[Block]) -> None:
+        """Write the map as NetCDF, block by block."""
         h5netcdf = optional("h5netcdf")
         with h5netcdf.File(path, "w") as file:
             file.attrs.update(self.attributes())
@@ -140,6 +141,7 @@ class MapFile:
                     values[rows.start : rows.stop] = np.ascontiguousarray(arrays[layer.name], self.dtype(layer))
 
     def _geotiff(self, path: Path, blocks: Iterable[Block]) -> None:
+        """Write the map as GeoTIFF, block by block, a band for each layer."""
         rasterio = optional("rasterio")
         from rasterio.windows import Window
 
@@ -163,6 +165,7 @@ class MapFile:
 
 
 def _georeference(frame: PixelFrame | None) -> dict[str, Any]:
+    """rasterio's arguments for where pixels lie."""
     if frame is None:
         return {}
     from rasterio.crs import CRS
@@ -181,6 +184,7 @@ def _flag_attributes(layer: Layer) -> dict[str, Any]:
 
 
 def _as_float(values: npt.NDArray[Any], layer: Layer) -> FloatArray:
+    """Values of a layer as floats, NaN where there is no code."""
     result = values.astype(float)
     if layer.meanings and not layer.bits:
         result[values == NO_CODE] = np.nan
@@ -188,6 +192,7 @@ def _as_float(values: npt.NDArray[Any], layer: Layer) -> FloatArray:
 
 
 def _netcdf_layer(file: Any, layer: Layer, dtype: str, dims: tuple[str, str], links: Mapping[str, str]) -> None:
+    """An empty variable for a layer, with its attributes; `links` say where its pixels lie."""
     fill: Any = np.nan if dtype.startswith("f") else None if layer.bits else NO_CODE
     variable = file.create_variable(layer.name, dims, dtype=dtype, fillvalue=fill)
     variable.attrs["long_name"] = layer.long_name
@@ -405,6 +410,7 @@ class Tally:
             yield rows, arrays
 
     def _add(self, arrays: Mapping[str, Any]) -> None:
+        """Count a block, and keep some of its values."""
         retained = (arrays[FLAG_LAYER].ravel() & LEFT_OUT) == 0
         some = np.flatnonzero(retained)[:: self.step]
         self.pixels += int(retained.sum())

@@ -2,16 +2,14 @@
 
 GDAL opens a file with the driver that its content names and with no other.
 
-Cubes in flat files: ENVI with its header, the Moon Mineralogy Mapper (M3) among them, and images of VNIS.
+Cubes in flat files are read here, too: ENVI with its header, the Moon Mineralogy Mapper (M3) among them, images of
+VNIS, and those that a label of the Planetary Data System describes, as of CRISM and IIRS (why no library does it is
+said in `lunarsci.spectra.readers.pds`).
 
 M3's products lie in the archive as `M3G20090203T175131_V01_RFL.IMG` (reflectance, 32-bit floats, band interleaved by
 line, -999 for no value) with a header of the same name; `..._LOC.IMG` has longitude, latitude and radius of each pixel
 (64-bit floats), `..._OBS.IMG` ten angles and distances: Green et al. (2011), J. Geophys. Res. 116, E00G19,
 10.1029/2011JE003797, and the archive's labels. Blocks of lines come through numpy's memory maps: GDAL is an extra.
-
-Cubes that a label of the Planetary Data System describes, as those of CRISM and IIRS.
-
-Why no library does it is said in `lunarsci.spectra.readers.pds`.
 """
 
 import math
@@ -264,6 +262,7 @@ def _beside(data: str, m3: str, kind: str) -> str | None:
 
 
 def _remarks(header: EnviHeader, m3: bool) -> list[str]:
+    """What the header of an ENVI file says that a user should know."""
     description = header.fields.get("description", "")
     notes = [f"its header calls it {SYNTHETIC}"] if SYNTHETIC.lower() in description.lower() else []
     if header.fields.get("flip", "0") not in ("0", ""):
@@ -334,6 +333,7 @@ def open_cube(path: str, stated: Stated | None = None) -> Cube:
 
 
 def _layout(path: str, given: Stated) -> Layout:
+    """What the file of a cube says of itself, by its format. Raises DataError for another."""
     start = start_of(path)
     if product_name(path) is not None:
         return open_vnis(path)
@@ -484,6 +484,7 @@ def netcdf(path: str) -> Any:
 
 @lru_cache(maxsize=4)
 def _netcdf(path: str, engine: str, *_version: int) -> Any:
+    """An open file of xarray; `_version` makes a changed file another one. Raises DataError for one too large."""
     h5netcdf, xarray = map(optional, ("h5netcdf", "xarray"))
     with _netcdf_errors(path):
         if engine == "h5netcdf":  # what is packed may be far larger than its file, and xarray reads axes as it opens it
@@ -590,6 +591,7 @@ def _steps(data: Any, name: str) -> tuple[float, float] | None:
 
 
 def _netcdf_locations(data: Any, path: str, lines: str, samples: str) -> dict[str, Backplane]:
+    """Longitude and latitude of each pixel, where a file has both as variables over lines and samples."""
     planes = {}
     for key, units in (("longitude", "degrees_east"), ("latitude", "degrees_north")):
         for name in data.variables:

@@ -66,6 +66,7 @@ class Region:
         return retained[:: self.step, :: self.step]
 
     def _inside(self, cube: Cube, lines: slice, samples: slice) -> BoolArray:
+        """Pixels within the polygons, (lines, samples); a ring within a ring is a hole."""
         from matplotlib.path import Path as Outline
 
         points = _places(cube, lines, samples)
@@ -137,6 +138,7 @@ def _span(ends: Any, size: int) -> tuple[int, int]:
 
 
 def _polygons(cube: Cube, file: str) -> tuple[tuple[Ring, ...], ...]:
+    """Rings of the polygons of a GeoJSON file, in the coordinates of `Region.polygons`. DataError without any."""
     try:
         result = list(_rings(json_document(text(read_input(file)))))
         rings = [[np.array(ring, float)[:, :2] for ring in polygon] for polygon in result]
@@ -216,6 +218,7 @@ def _system(cube: Cube) -> Any:
 
 
 def _projected(cube: Cube, longitude: FloatArray, latitude: FloatArray, file: str) -> tuple[FloatArray, FloatArray]:
+    """x and y in the system of the cube's frame, of longitudes and latitudes. [deg]"""
     from rasterio.errors import RasterioError
     from rasterio.warp import transform
 

@@ -13,13 +13,14 @@ from lunarsci.io.tables import table_hashes
 from lunarsci.minerals import MINERALS
 from lunarsci.options import request_of
 from lunarsci.result import NOT_TO_BE_TRUSTED, Doubt, MadeFrom, Progress, Result, job
-from lunarsci.spectra.abundance.kinds import TABLE as KINDS
-from lunarsci.spectra.abundance.nbsr import TABLE, PyroxeneAbundances, nbsr_abundances
+from lunarsci.spectra.abundance.kinds import TABLE as KINDS_TABLE
+from lunarsci.spectra.abundance.nbsr import TABLE as NBSR_TABLE
+from lunarsci.spectra.abundance.nbsr import PyroxeneAbundances, nbsr_abundances
 from lunarsci.spectra.abundance.result import Abundance
 from lunarsci.spectra.jobs.requests import FitRequest, ModelRequest
 from lunarsci.spectra.jobs.verdicts import with_causes
 from lunarsci.spectra.mgm import PERCENT_OF, MgmContinuum
-from lunarsci.spectra.mgm.assemblages import TABLES
+from lunarsci.spectra.mgm.assemblages import TABLES as BAND_TABLES
 from lunarsci.spectra.mgm.batch import beyond_any, compositions
 from lunarsci.spectra.mgm.columns import FitColumns, rows_of, rows_one_by_one
 from lunarsci.spectra.mgm.damping import fit_damping
@@ -94,7 +95,7 @@ class MgmFits(Result):
         )
 
     def _tables_and_sources(self) -> tuple[list[str], list[str]]:
-        return [*TABLES, TABLE, KINDS], [MGM, NBSR]
+        return [*BAND_TABLES, NBSR_TABLE, KINDS_TABLE], [MGM, NBSR]
 
     @property
     def doubt(self) -> Doubt:
@@ -105,15 +106,20 @@ class MgmFits(Result):
 
     @property
     def _as_arrays(self) -> bool:
-        """Whether the fits are columns; some kinds are made one by one."""
+        """Whether records and rows are made of columns; with choices or intervals they are made one by one.
+
+        Then `fits` are `SpectraFits`, of which alone `nbsr_abundances` makes `PyroxeneAbundances`: what is used below
+        where this holds, and no type says.
+        """
         return isinstance(self.abundances, PyroxeneAbundances) and not (self.choices or self.intervals)
 
     @cached_property
     def _columns(self) -> Callable[[range], tuple[FitColumns, PyroxeneAbundances]]:
-        """Columns of some of the fits and their shares of pyroxenes; the last are kept."""
+        """`_columns_of`, which remembers the last block."""
         return lru_cache(maxsize=1)(self._columns_of)
 
     def _columns_of(self, block: range) -> tuple[FitColumns, PyroxeneAbundances]:
+        """Columns of some of the fits and their shares of pyroxenes, where they are `_as_arrays`."""
         fits: SpectraFits = self.fits.part(block)  # type: ignore[attr-defined]
         return FitColumns(fits, self.batch.origins[block.start : block.stop]), PyroxeneAbundances(fits)
 
@@ -130,6 +136,7 @@ class MgmFits(Result):
         return [self._record(index, origin) for index, origin in enumerate(self.batch.origins)]
 
     def _record(self, index: int, origin: str) -> dict[str, Any]:
+        """The keys of one spectrum, made from what there is of it."""
         item, choice, intervals = self.fits[index], self.choices.get(index), self.intervals.get(index)
         result = self.abundances.get(index, ())
         return item.to_dict() | {
@@ -141,6 +148,7 @@ class MgmFits(Result):
         }
 
     def may_have(self, key: str) -> Collection[str]:
+        """`compositions` has some keys of `PERCENT_OF` (Fo, Fs, Wo, in mol %), `abundance` some minerals."""
         return PERCENT_OF if key == "compositions" else MINERALS.values() if key == "abundance" else ()
 
     def rows_each(self) -> Sequence[dict[str, Any]]:

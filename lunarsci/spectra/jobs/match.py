@@ -206,7 +206,7 @@ def _assumed_site(asked: MatchRequest, result: "Candidates") -> Point:
 
 @dataclass(frozen=True, slots=True)
 class MatchInputs:
-    """The rocks, the inputs' hashes, and what could not be read."""
+    """The rocks, hashes of the inputs by name, and what could not be read."""
 
     rocks: list[Rock]
     inputs: dict[str, str] = field(default_factory=dict)
@@ -215,7 +215,7 @@ class MatchInputs:
 
 @dataclass(frozen=True, slots=True)
 class Candidates:
-    """The craters, the hashes of what they were read from, and what maps gave."""
+    """The craters, the name of their catalogue, hashes of what they were read from, by name, and what maps gave."""
 
     craters: Sequence[Crater]
     source: str
@@ -236,7 +236,10 @@ def _span(text: str, option: str) -> Range:
 
 
 def _rocks(sources: Sequence[Any], asked: MatchRequest) -> MatchInputs:
-    """The rocks of results, or the one that the request states. Raises DataError when no result can be read."""
+    """The rocks of results of `spectra fit` or `spectra unmix`, or the one that the request states.
+
+    Raises RequestError for both or neither, DataError when no result can be read.
+    """
     stated = asked.modes is not None or asked.bands is not None
     if stated == bool(sources):
         raise RequestError("give results of `spectra fit --json`, or `modes` or `bands` for one rock, not both")

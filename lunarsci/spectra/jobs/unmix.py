@@ -2,8 +2,8 @@
 
 The way of a spectrum: its kind is found; a soil that space has weathered has no shares (`normative` instead). Networks
 foretell the probabilities of shares of all others. Where minerals, end members or modes are stated, mixtures of end
-members give such probabilities as well (`mixed_estimate`). `abundances` weighs both, by what they were worth on suites
-left out, and calibrates the outcome.
+members give such probabilities as well (`mixed_estimate`). `abundances` weighs both, by what they were worth on
+sample series left out, and calibrates the outcome.
 
 Two estimates, since neither can do the other's work: networks have no end members that `library`, `together` and
 `known` could replace, and mixtures are the worse where nothing is known of the minerals (`docs/science/shares.md`).
@@ -230,6 +230,7 @@ def _shares(
     request: UnmixRequest,
     progress: Progress | None,
 ) -> list[Abundance]:
+    """Shares of spectra that have some; minerals that are not `named`, or stated to be absent, have none."""
     if not spectra:
         return []
     allowed = np.tile([float(mineral in named) for mineral in WEIGHED], (len(spectra), 1))

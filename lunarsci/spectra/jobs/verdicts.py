@@ -1,4 +1,7 @@
-"""What else than a pyroxene may make the 1 and 2 um bands of a spectrum."""
+"""Sentences on a spectrum: what its bands, its fit or its choice of minerals say, and what else may make the bands.
+
+They are made of the records that `spectra bands --json` and `spectra fit --json` write, for tables and pages.
+"""
 
 import math
 from collections import Counter

@@ -15,10 +15,12 @@ from lunarsci.names import meant
 GROUPS = {"pyroxene": ("OPX", "CPX")}
 """Minerals that stand for each other in a spectrum: that one of them is there may be sure where each alone is open."""
 PYROXENES = ("pyroxene", *(MINERALS[key] for key in GROUPS["pyroxene"]))
+"""Names that a pyroxene may have in an answer: of the group, and of its members."""
 SURE = 0.93
 """Probability from which something is called sure, as of `Choice.family`. Measured: 92 % of the families of 156 spectra
 are right with it, 90 % with 0.9 (`lunarsci.spectra.mgm.selection.choose`)."""
 ALONE = "no second pyroxene"
+"""What must hold for the composition of a pyroxene that was fitted alone (`Assemblage.domain`)."""
 HIDDEN = {"orthopyroxene": 0.73, "clinopyroxene": 0.26}
 """Largest share of a pyroxene in RELAB mixtures of which the comparison called the other one sure, and not this one.
 Measured: of 32 mixtures with 5 vol % or more of both, 12 were so fitted by clinopyroxene (MIX230: 73 vol %
@@ -83,7 +85,8 @@ class BandPrior:
 class CompositionPrior:
     """What is believed of a mineral's composition before its spectrum is seen. [mol %]
 
-    `key` is `fo` of olivine, `fs` of orthopyroxene, `wo` and `fs_cpx` (iron) of clinopyroxene.
+    `key` is `fo` of olivine, `fs` of orthopyroxene, `wo` and `fs_cpx` (iron) of clinopyroxene; `mean` and `sigma` those
+    of a normal law; from `lowest` to `highest` the trend of the centres is known; `source` a key of `sources.toml`.
     """
 
     key: str
@@ -97,7 +100,10 @@ class CompositionPrior:
 
 @dataclass(frozen=True, slots=True)
 class Assemblage:
-    """A named set of bands, and the compositions that move them."""
+    """A named set of bands, in the order of their parameters, and the compositions that move them.
+
+    `name` has abbreviations of minerals, joined by hyphens: `OL-OPX`.
+    """
 
     name: str
     bands: tuple[BandPrior, ...]

@@ -40,6 +40,8 @@ def follow_shifts(
 ) -> FloatArray:
     """First-order moves of the minimum at `point` under each of the data's `shifts`, shape (n_shifts, p).
 
+    `point` (p,) is in the order and units of `MgmModel`; `ln_model` (n,) and `jacobian` (p, n) are the model's there.
+
     Half the objective's second derivatives decide them, the share of the misfit included: along the flat valleys of
     this model even a small misfit bends the objective as much as the prior. Where the misfit takes away most of the
     curvature in some direction, the minimum is about to jump and no first order tells how far; the misfit's share is
@@ -95,6 +97,7 @@ def _is_mostly_left(curvature: FloatArray, fisher: FloatArray) -> bool:
 
 
 def _inverse(matrix: FloatArray) -> FloatArray:
+    """NaN where there is none."""
     try:
         return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
     except np.linalg.LinAlgError:
@@ -260,6 +263,7 @@ class FitBatch:
         return [texts[k] for k in which.ravel().tolist()]
 
     def _sentence(self, status: int, iterations: int, flags: BoolArray) -> str:
+        """The status of a row; `flags` are `ambiguous`, `ratios_differ`, `beyond_trend` (k) and `strained` (bands)."""
         ambiguous, differ, far = flags[0], flags[1], flags[2:]
         if status != CONVERGED:
             return f"not converged after {iterations} iterations; try other bands, priors or another continuum"
@@ -337,9 +341,11 @@ def channels_of(rows: MgmRows, model: MgmModel, ln_reflectance: FloatArray | Non
 
 
 COLUMNS = tuple(item.name for item in fields(FitBatch) if item.name != "model")
+"""Names of the arrays of a `FitBatch`."""
 
 
 def ratio_of(numbers: FloatArray) -> StrengthRatio | None:
+    """A row of `FitBatch.um1` or `um2`, (4,), as a ratio; None where it is NaN."""
     opx, cpx, sigma, calibration = numbers.tolist()
     return None if opx != opx else StrengthRatio(opx, cpx, sigma, None if calibration != calibration else calibration)
 
@@ -360,6 +366,7 @@ def batch_of(fit: MgmFit) -> FitBatch:
 
 
 def _numbers(ratio: StrengthRatio | None) -> list[float]:
+    """A ratio as a row of `FitBatch.um1` or `um2`."""
     if ratio is None:
         return [np.nan] * 4
     return [ratio.opx, ratio.cpx, ratio.sigma, np.nan if ratio.calibration is None else ratio.calibration]
@@ -419,6 +426,7 @@ def _described(rows: MgmRows, model: MgmModel, solved: KernelFits, points: Float
 
 
 def _errors(rows: MgmRows, model: MgmModel, points: FloatArray, chi2: FloatArray) -> LaplaceErrors:
+    """Errors at minima, (n, p), of this chi-square, (n,)."""
     return laplace_errors(channels_of(rows, model), problem_of(model), points, chi2)
 
 

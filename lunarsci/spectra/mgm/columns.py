@@ -16,12 +16,17 @@ from lunarsci.spectra.mgm.model import NM_PER_UM
 from lunarsci.spectra.mgm.result import ERROR_COVERS
 
 PARTS = ("center", "fwhm", "strength")
+"""Parameters of a band, in the order of `MgmModel`."""
 ON_BOUND = [[name for k, name in enumerate(PARTS) if code >> k & 1] for code in range(8)]
+"""Parameters on a bound by a code whose bits are those of `PARTS`."""
 RATIO = ("opx", "cpx", "sigma", "calibration")
+"""Keys of a ratio, in the order of the columns of `FitBatch.um1`."""
 CSV_RATIO = ("opx", "sigma", "calibration", "continuum", "continuum_low", "continuum_high")
 OF_COMPOSITION = ("mean", "sigma", "trend_sigma", "in_range", "domain")
+"""Keys of a ratio and of a composition that tables have."""
 REGIONS = ("um1", "um2")
 COMMON = ("source", "id", "assemblage", "continuum", "converged", "status", "rms_ln", "model_error")
+"""Columns of every row of a table, of a fit or of none."""
 
 
 class FitColumns:
@@ -106,6 +111,7 @@ class FitColumns:
         return result | dict.fromkeys(_between(keys[part], "continuum") for part in PARTS)
 
     def _compositions(self) -> dict[str, dict[str, Column]]:
+        """By key of the composition, the columns of a `MineralComposition`."""
         result: dict[str, dict[str, Column]] = {}
         numbers = self.fits.gathered(compositions_of)
         for k, item in enumerate(self.model.assemblage.compositions):

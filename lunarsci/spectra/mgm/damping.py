@@ -21,6 +21,7 @@ from lunarsci.spectra.spectrum import Spectrum
 MAX_ITERATIONS = 100_000
 """The program has no limit; the slowest of 25 fits of laboratory spectra took it 4179."""
 HALVINGS = 15
+"""Times that a step is halved before it counts as one that does not lower the rms."""
 STEEPEST = 1e100
 """Derivative, in the kernel's units, that belongs to no spectrum; its square must be a number."""
 RANK_TOLERANCE = 1e-13
@@ -40,14 +41,14 @@ def fit_damping(
 ) -> list[MgmFit | MgmFailure]:
     """Fit every spectrum along the path of the reference program; one result or one stated reason each, in order.
 
-    The parameters that step are the program's: continuum coefficients of powers of wavenumber or wavelength, centres in
-    wavenumber, FWHM, strengths. An iteration moves them by (G'G + P)^-1 G'r, where r = ln R - model, G its derivatives
-    and P the inverse covariance of the prior, diagonal, whose mean is put where the fit stands: the prior damps and
-    does not pull. For a centre c with the uncertainty u, 1.96 standard deviations are the full width between the
-    wavenumbers of c - u and c + u. A step that does not lower the rms of r is halved, 15 times at most. A fit ends
-    after an iteration that lowers the rms by `improvement_limit` or less, or brings it to `rms_limit`. All channels
-    weigh the same. The covariance is (G'G)^-1 rms^2, without the prior and without regard to the number of parameters;
-    1.96 standard deviations are the 95 % errors of the program.
+    The parameters that step are the program's (`ProgramParameters`): continuum coefficients of powers of wavenumber
+    [cm^-1] or wavelength [nm], then centre [cm^-1], FWHM [nm] and strength [ln R] of each band. An iteration moves them
+    by (G'G + P)^-1 G'r, where r = ln R - model, G its derivatives and P the inverse covariance of the prior, diagonal,
+    whose mean is put where the fit stands: the prior damps and does not pull. For a centre c with the uncertainty u,
+    1.96 standard deviations are the full width between the wavenumbers of c - u and c + u. A step that does not lower
+    the rms of r is halved, 15 times at most. A fit ends after an iteration that lowers the rms by `improvement_limit`
+    or less, or brings it to `rms_limit`. All channels weigh the same. The covariance is (G'G)^-1 rms^2, without the
+    prior and without regard to the number of parameters; 1.96 standard deviations are the 95 % errors of the program.
 
     Strengths of either sign are allowed, and a positive one is said in the status; bounds of the model do not count,
     except equal ones, which fix a value. A step may take a width through 0, since the model is even in it; what comes
@@ -87,7 +88,7 @@ def fit_damping(
             data = prepare(spectrum, model_error, whole=model.whole)
             first = parameters.of_kernel(_first(model, data) if start is None else start)
             if file is not None and start is None:
-                first = parameters.on_planes(parameters.values)
+                first = parameters.obeying_ties(parameters.values)
             problem = _DampedProblem(data, parameters, raw_basis(model.continuum, data.wavelength_nm))
             results.append(_described(problem, _descent(problem, first, rms_limit, improvement_limit)))
         except DataError as error:
@@ -98,7 +99,7 @@ def fit_damping(
 
 
 def _first(model: MgmModel, data: MgmData) -> FloatArray:
-    """The prior's mean, with a strength where it has none and a continuum where it is flat."""
+    """The prior's mean, (p,) as in `MgmModel`, with a strength where it has none and a continuum where it is flat."""
     m, point = model.degrees, model.prior.copy()
     strengths = point[m + 2 :: 3]
     strengths[strengths == 0] = FIRST_STRENGTH
@@ -111,7 +112,15 @@ def _first(model: MgmModel, data: MgmData) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _State:
-    """Parameters of the program, the residuals there, (n,), and the derivatives of the model by them, (p, n)."""
+    """Where a descent stands.
+
+    Attributes
+    ----------
+    point : (p,) the program's parameters: coefficients, then centre, FWHM, strength of each band. [cm^-1, nm, ln R]
+    residual : (n,) ln R less the model. [-]
+    jacobian : (p, n) derivatives of the model's ln R by `point`.
+    rms : root mean square of `residual`. [-]
+    """
 
     point: FloatArray
     residual: FloatArray
@@ -121,7 +130,7 @@ class _State:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _End:
-    """Where a descent ends, after how many iterations, whether a rule of convergence ended it, and which."""
+    """Where a descent ends, after how many iterations, whether a rule of convergence ended it, and a sentence."""
 
     state: _State
     iterations: int
@@ -131,14 +140,21 @@ class _End:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _DampedProblem:
-    """One spectrum, and the program's parameters with their basis of the continuum, (n, m)."""
+    """One spectrum, and the program's parameters; `basis`, (n, m), has powers of wavenumber or wavelength.
+
+    It is that of `raw_basis`. `point` is everywhere as in `_State`. G of `fit_damping` is the transpose of
+    `_State.jacobian`.
+    """
 
     data: MgmData
     parameters: ProgramParameters
     basis: FloatArray
 
     def at(self, point: FloatArray) -> _State | None:
-        """None where the continuum is not above 0, or a width or wavenumber is 0."""
+        """Residuals and derivatives at a point; None where the continuum is not above 0 or a width or wavenumber 0.
+
+        A width below 0 becomes its amount, unless parameters are tied.
+        """
         model, m, point = self.parameters.model, self.parameters.model.degrees, point.copy()
         if not self.parameters.tied:
             point[m + 1 :: 3] = np.abs(point[m + 1 :: 3])
@@ -157,27 +173,30 @@ class _DampedProblem:
         return _State(point, residual, jacobian, math.sqrt(residual @ residual / residual.size))
 
     def step(self, here: _State) -> FloatArray:
-        """(G'G + P)^-1 G'r along the directions that are free."""
+        """(G'G + P)^-1 G'r along the directions that are free: a change of the point, (p,)."""
         directions = self.parameters.directions(here.point)
         slopes = directions.T @ here.jacobian
         matrix = slopes @ slopes.T + (directions.T * self.parameters.precision) @ directions
         return np.asarray(directions @ _solved(matrix, slopes @ here.residual), dtype=np.float64)
 
-    def covariance(self, here: _State) -> FloatArray:
-        """(G'G)^-1 of the kernel's parameters; NaN where the data leave a direction undetermined."""
+    def unit_covariance(self, here: _State) -> FloatArray:
+        """(G'G)^-1, (p, p), in the parameters of `MgmModel`: the covariance were the errors of ln R 1.
+
+        All NaN where the data leave a direction undetermined.
+        """
         directions = self.parameters.directions(here.point)
         slopes = (directions.T @ here.jacobian).T
         scale = np.linalg.norm(slopes, axis=0)
         scale[scale == 0] = 1.0
         _, singular, vectors = np.linalg.svd(slopes / scale, full_matrices=False)
-        unknown = np.full((here.point.size, here.point.size), np.nan)
+        undetermined = np.full((here.point.size, here.point.size), np.nan)
         if len(singular) < scale.size or not singular.min(initial=1.0) > RANK_TOLERANCE:
-            return unknown
+            return undetermined
         with np.errstate(over="ignore", invalid="ignore"):
             along = self.parameters.kernel_slopes(here.point) @ directions
             root = along @ ((vectors / singular[:, None]).T / scale[:, None])
-            inverse = root @ root.T
-        return inverse if np.isfinite(inverse).all() else unknown
+            unit = root @ root.T
+        return unit if np.isfinite(unit).all() else undetermined
 
 
 def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
@@ -193,7 +212,7 @@ def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def _descent(problem: _DampedProblem, first: FloatArray, rms_limit: float, improvement_limit: float) -> _End:
-    """Where the steps lead."""
+    """Where the steps from `first`, the program's parameters, lead. Raises DataError where they cannot begin."""
     here = problem.at(first)
     if here is None:
         raise DataError("the continuum of the start is not above 0 in every channel; start from another")
@@ -218,18 +237,20 @@ def _shortened(problem: _DampedProblem, here: _State) -> tuple[_State | None, bo
     """The longest of the step, its half, ... that lowers the rms; if none, whether the shortest was off limits."""
     step, there = problem.step(here), None
     for halving in range(HALVINGS + 1):
-        there = problem.at(problem.parameters.on_planes(here.point + step / 2**halving))
+        there = problem.at(problem.parameters.obeying_ties(here.point + step / 2**halving))
         if there is not None and there.rms < here.rms:
             return there, False
     return None, there is None
 
 
 def _described(problem: _DampedProblem, end: _End) -> MgmFit:
+    """The fit in the parameters of `MgmModel`, with its errors."""
     data, model, state = problem.data, problem.parameters.model, end.state
-    m, inverse, point = model.degrees, problem.covariance(state), problem.parameters.to_kernel(state.point)
-    covariance = inverse * state.rms**2
+    m, unit_covariance = model.degrees, problem.unit_covariance(state)
+    point = problem.parameters.to_kernel(state.point)
+    covariance = unit_covariance * state.rms**2
     by_kernel = np.linalg.solve(problem.parameters.kernel_slopes(state.point).T, state.jacobian)
-    shared = data.shifts @ by_kernel.T @ inverse
+    shared = data.shifts @ by_kernel.T @ unit_covariance
     span_nm = float(np.ptp(data.wavelength_nm))
     shared = _where_determined(covariance, shared, m, span_nm)
     bands = _bands(model, point[m:], covariance[m:, m:], shared[:, m:])
@@ -272,6 +293,7 @@ def _where_determined(covariance: FloatArray, shared: FloatArray, degrees: int, 
 
 
 def _bands(model: MgmModel, point: FloatArray, covariance: FloatArray, shared: FloatArray) -> tuple[FittedBand, ...]:
+    """The bands from their b parameters, (b,), covariance, (b, b), and moves by errors that channels share, (k, b)."""
     together = np.sqrt((shared**2).sum(axis=0)) if len(shared) else np.full(point.size, np.nan)
     values, errors, calibration = (v.reshape(-1, 3) for v in (point, np.sqrt(np.diag(covariance)), together))
     return tuple(

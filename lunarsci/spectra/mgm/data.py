@@ -17,6 +17,7 @@ FIT_RANGE_NM = (400.0, 2600.0)
 REQUIRED_NM = (800.0, 1300.0)
 """Without the 1 um region there is nothing that tells the three minerals apart; assumed."""
 MIN_CHANNELS = 40
+"""Usable channels that a fit needs."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,9 +46,10 @@ class MgmRows:
 
     Attributes
     ----------
-    wavelength_nm : (c,), ascending, usable in all of them. [nm]
-    reflectance, weight : (n, c). [-]
-    shifts, model_error : (n, k, c) and (n,). [-]
+    wavelength_nm : (c,), ascending, usable in all n of them. [nm]
+    reflectance, weight : (n, c) of the reflectance factor, and 1 / variance of ln R. [-]
+    shifts : (n, k, c) changes of ln R by one standard deviation of k errors that all channels share. [-]
+    model_error : (n,), part of `weight`. [-]
     """
 
     wavelength_nm: FloatArray

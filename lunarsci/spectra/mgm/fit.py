@@ -103,15 +103,21 @@ DEFAULT_MODEL_ERROR = 0.02
 assumed."""
 DEFAULT_STARTS = 4
 START_SIGMAS = 2.0
+"""Farthest that a start lies from the prior's centre or width, in standard deviations of it."""
 START_SEED = 0
 FIRST_STRENGTH = -0.1
+"""Of every band of a start. [ln R]"""
 HOP_SIGMAS = 4.0
+"""Length of a hop, in posterior standard deviations (`hops_of`)."""
 CONTINUUM_QUANTILE = 0.95
+"""Of a spectrum's reflectance, which stands for its continuum in a start."""
 TOLERANCE = 1e-4
+"""Decrease of chi-square to be expected at which a fit has converged."""
 MAX_ITERATIONS = 1000
 CHUNK = 512
 """Spectra between two reports of progress."""
 NO_HOPS: FloatArray = np.empty((0, 2))
+"""For `fit_batch`."""
 
 
 def fit_spectra(
@@ -197,10 +203,12 @@ def model_digest(model: MgmModel) -> str:
 
 
 def _columns_of_fits(spectra: dict[str, Any], *, model: MgmModel, starts: int) -> dict[str, Any]:
+    """Arrays of a `FitBatch` of the spectra of a block (`SpectraRows.arguments`)."""
     return fit_rows(prepare_rows(**spectra), model, starts).columns()
 
 
 def check_options(model_error: Any, starts: Any = 1) -> None:
+    """Raises ParameterError for a model error, or one of several, or a number of starts out of range."""
     if model_error is not None and not ((np.asarray(model_error) > 0) & (np.asarray(model_error) < 1)).all():
         raise ParameterError(f"model error is {model_error:g}; give a number above 0 and below 1, such as 0.01")
     if isinstance(starts, int) and starts < 1:

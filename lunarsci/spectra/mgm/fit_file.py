@@ -7,10 +7,10 @@ line of centre [nm], FWHM [nm] and strength [ln reflectance] and a line of their
 deviations. Result files give those of a centre as the full width of its interval, which is below 0 where the interval
 reaches over the wavenumber 0. Text behind the numbers of a line is a comment, which may name a band's mineral.
 
-What the MGM program distributed by RELAB and this library say of a fit, each in the words of the other.
-
-Its coefficients are those of powers of the wavenumber [cm^-1] or of the wavelength [nm]; ours of the same variable
-mapped to -1 to 1. Its centres are wavenumbers with uncertainties whose intervals it takes and gives in wavelength.
+Below the readers is what the program and this library say of a fit, each in the words of the other: a model of a file
+(`model_of`), a file of a fit (`fit_file_of`), and the parameters of both (`ProgramParameters`). The program's
+coefficients are those of powers of the wavenumber [cm^-1] or of the wavelength [nm]; ours of the same variable mapped
+to -1 to 1. Its centres are wavenumbers with uncertainties whose intervals it takes and gives in wavelength.
 """
 
 import dataclasses
@@ -49,6 +49,7 @@ LARGEST, LEAST = 1e15, 1e-6
 LEAST_NM = 10.0
 """Below it a wavelength is taken for one in um: reflectance spectra are of 0.1 to 5 um."""
 Numbers = tuple[float, ...]
+"""Those of one line of a file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,6 +145,7 @@ def _lines_of(file: FitFile) -> Iterator[tuple[int, bool, str]]:
 
 
 def _lines_of_band(band: FitBand) -> Iterator[tuple[int, bool, str]]:
+    """Rules of its two lines: which of them, 0 or 1, whether it holds, and the fault where it does not."""
     in_um = 0 < band.center_nm < LEAST_NM and abs(band.fwhm_nm) < LEAST_NM
     yield 0, _are_numbers(band.values, 3), "centre, FWHM or strength is not finite or beyond 1e15; give three numbers"
     yield 0, not abs(band.center_nm) < LEAST, "centre of 0 nm, which has no wavenumber; give another"
@@ -193,6 +195,7 @@ def read_fit_file(input: InputFile) -> FitFile:
 
 
 def _read_bands(lines: "_Lines", first: int) -> tuple[FitBand, ...]:
+    """The bands, the first of which is in line `first`, behind that of their number."""
     [count] = lines.numbers(first - 1, 1, "number of bands")
     if count < 1 or not count.is_integer():
         lines.refuse(first - 1, f"{count:g} is no number of bands; give 1 or more")
@@ -224,7 +227,7 @@ def _parts(line: str) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class _Lines:
-    """Lines of a file; their numbers begin at 1."""
+    """Lines of a file, `rows`; their numbers begin at 1. `name` is the file's in messages."""
 
     name: str
     rows: list[str]
@@ -285,6 +288,7 @@ PLOT_AXIS = (-170.0, 25.0, 10.0)
 WAVENUMBER_NM = 1e7
 """Wavenumber [cm^-1] times wavelength [nm]."""
 NARROWEST_UM = 1e-3
+"""Lower bound of widths, but for a band that a file has narrower. [um]"""
 FLATTEST = 1e9
 """Standard deviation, um or ln R, beyond which a wider one changes nothing but rounding."""
 ASSEMBLAGE = "fit file"
@@ -464,11 +468,14 @@ def _continuum_prior(file: FitFile) -> tuple[MgmContinuum, FloatArray, FloatArra
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProgramParameters:
-    """Parameters as the program steps them, (p,): coefficients of the file's variable; cm^-1, nm, ln R of each band.
+    """The parameters that the program steps, (p,), as against those of `MgmModel`, called the kernel's here.
+
+    Those of the program are coefficients of powers of the file's variable, then centre, FWHM and strength of each band.
+    [cm^-1, nm, ln R] Those of the kernel are coefficients of the mapped variable, then the same. [um, um, ln R]
 
     Attributes
     ----------
-    model : whose parameters are called the kernel's here.
+    model : of the kernel's parameters.
     units : (p,) what the kernel's parameters are to be multiplied by for 1, nm, nm, ln R.
     precision : (p,) 1 / variance of the prior; 0 where there is none.
     held, values : (p,) which may not move, and what they and the others start from.
@@ -495,7 +502,7 @@ class ProgramParameters:
         m, program = self.model.degrees, kernel * self.units
         program[:m] = to_raw(self.model.continuum) @ kernel[:m]
         program[m::3] = WAVENUMBER_NM / program[m::3]
-        return self.on_planes(np.where(self.held, self.values, program))
+        return self.obeying_ties(np.where(self.held, self.values, program))
 
     def to_kernel(self, program: FloatArray) -> FloatArray:
         """The kernel's parameters of the program's."""
@@ -520,8 +527,8 @@ class ProgramParameters:
         along = free @ null_space((self.planes * self.scale)[:, ~self.held])
         return np.asarray((self.scale / self._slope(program))[:, None] * along)
 
-    def on_planes(self, program: FloatArray) -> FloatArray:
-        """The nearest parameters that obey the ties."""
+    def obeying_ties(self, program: FloatArray) -> FloatArray:
+        """The nearest parameters of the program, (p,), that obey the ties; distances are in units of `scale`."""
         if not self.tied:
             return program
         m, free, there = self.model.degrees, ~self.held, program.copy()

@@ -11,6 +11,10 @@ columns more, of which the first is a right-hand side and the others are 0. The 
 factor U of A = U' U, its diagonal by 1/U_kk; the factorisation solves U' y = b on its way. What lies below the diagonal
 has no meaning.
 
+Arrays of the descents have a column for each of eight lanes; `Workspace` of `levenberg_marquardt` has their shapes and
+units. n is the number of channels, m that of continuum coefficients, p that of all parameters, which are continuum
+coefficients, then centre [um], FWHM [um], strength [ln R] of each band.
+
 The sampler's trajectories feel the energy of a particle, half the objective, on all channels; the force may come from
 neighbouring channels put together (`force_of`).
 """
@@ -27,6 +31,7 @@ from lunarsci.compiled.lanes import aligned, choose, exponential, highest, load,
 TILE = 4
 """Rows and columns worked on together, so that each number read is used four times."""
 LEAST_PIVOT = 1e-300
+"""Stands for a pivot that is not above 0, of which no root could be taken."""
 
 
 def padded_matrix(size: int) -> FloatArray:
@@ -186,7 +191,8 @@ def prior_pull(point: Any, prior: Any, precision: Any, pull: Any) -> Any:
 def damped(
     curvature: Any, precision: Any, scale: Any, growth: Any, free: Any, size: int, side: int, matrix: Any
 ) -> None:
-    """scale J J' + precision, its diagonal times `growth`; rows and columns that are not free are those of 1."""
+    """Fill `matrix` with scale J J' + precision, its diagonal times `growth`; rows and columns that are not free are
+    those of the identity."""
     for p in range(size):
         is_free = load(free, p)
         for q in range(p, size):
@@ -273,6 +279,7 @@ def predicted_decrease(curvature: Any, precision: Any, scale: Any, slope: Any, p
 
 
 LEAST_CONTINUUM = 1e-12
+"""A continuum that is not above this somewhere has no logarithm, and the model no value."""
 
 
 @uncounted(fastmath=VECTORS)  # type: ignore[untyped-decorator]
@@ -284,6 +291,7 @@ def gaussian(wavelength: Any, centre: float, inverse_sigma: float, values: Any) 
 
 
 FWHM_OVER_SIGMA = 2.0 * math.sqrt(2.0 * math.log(2.0))
+"""Full width at half maximum of a Gaussian over its standard deviation."""
 
 
 def model_and_jacobian(
@@ -321,15 +329,15 @@ def model_and_jacobian(
 
 @uncounted(fastmath=VECTORS)  # type: ignore[untyped-decorator]
 def _subtract_continuum(
-    parameters: Any, columns: Any, logarithmic: bool, data: Any, level: Any, rest: Any
+    parameters: Any, basis: Any, logarithmic: bool, data: Any, level: Any, rest: Any
 ) -> bool:  # fmt: skip
     """Fill `rest` with data - ln C and `level` with what a change of C means for ln C; False where C is not above 0."""
     for i in range(level.size):
         level[i] = 0.0
-    for m in range(columns.shape[0]):
-        coefficient, column = parameters[m], columns[m]
+    for m in range(basis.shape[0]):
+        coefficient, basis_row = parameters[m], basis[m]
         for i in range(level.size):
-            level[i] += column[i] * coefficient
+            level[i] += basis_row[i] * coefficient
     if logarithmic:
         for i in range(level.size):
             rest[i] = data[i] - level[i]
@@ -347,12 +355,16 @@ def _subtract_continuum(
 
 
 @uncounted(fastmath=VECTORS)  # type: ignore[untyped-decorator]
-def _subtract(point: Any, wavelength: Any, columns: Any, logarithmic: bool, data: Any, space: Any) -> bool:
-    """Gaussians, data - ln R and level of one spectrum into `space`; False where the continuum is not above 0."""
+def _subtract(point: Any, wavelength: Any, basis: Any, logarithmic: bool, data: Any, space: Any) -> bool:
+    """Gaussians, data - ln R and level of one spectrum into `space`; False where the continuum is not above 0.
+
+    `wavelength` (n,) [um], `basis` (m, n) and `data` (n,), ln R, are of the spectrum; `space` is Gaussians (bands or
+    more, n), data - ln R (n,), and what a change of C means for ln C (n,).
+    """
     shapes, rest, level = space
-    if not _subtract_continuum(point, columns, logarithmic, data, level, rest):
+    if not _subtract_continuum(point, basis, logarithmic, data, level, rest):
         return False
-    for row in range(columns.shape[0], point.size, 3):
+    for row in range(basis.shape[0], point.size, 3):
         strength, shape = point[row + 2], shapes[row]
         gaussian(wavelength, point[row], FWHM_OVER_SIGMA / point[row + 1], shape)
         for i in range(wavelength.size):
@@ -362,11 +374,15 @@ def _subtract(point: Any, wavelength: Any, columns: Any, logarithmic: bool, data
 
 @uncounted(fastmath=VECTORS)  # type: ignore[untyped-decorator]
 def energies_of(target: Any, point: Any, space: Any, energy: Any) -> None:
-    """Halves of chi-square, of the prior's share, and of the squared distance of the continuum from its start."""
+    """Halves of chi-square, of the prior's share, and of the squared distance of the continuum from its start, (3,).
+
+    `target` is as `run_population` of `intervals` has it; of `space` the first room is for all channels, the second
+    for the coarse ones, each as `_subtract` takes it.
+    """
     channels, _, logarithmic, prior, precision, start = target[:6]
-    wavelength, columns, data, root_weight = channels
+    wavelength, basis, data, root_weight = channels
     rest, chi2 = space[0][1], 0.0
-    if _subtract(point, wavelength, columns, logarithmic, data, space[0]):
+    if _subtract(point, wavelength, basis, logarithmic, data, space[0]):
         for i in range(wavelength.size):
             chi2 += (rest[i] * root_weight[i]) ** 2
     else:
@@ -380,19 +396,20 @@ def energies_of(target: Any, point: Any, space: Any, energy: Any) -> None:
 
 @uncounted(fastmath=VECTORS)  # type: ignore[untyped-decorator]
 def force_of(target: Any, beta: float, point: Any, space: Any, force: Any) -> bool:
-    """Minus the slope of the energy, from the coarse channels; False where the continuum is not above 0.
+    """Minus the slope of the energy, (p,), from the coarse channels; False where the continuum is not above 0.
 
+    `target` and `space` are as in `energies_of`; `beta`, 0 to 1, is the share of the data that has been brought in.
     Any field of force keeps a trajectory reversible and its volume; that it is the energy's own slope to within a
     fraction of a per cent only decides how many trajectories are accepted, by the energy on all channels.
     """
-    (wavelength, columns, data, root_weight), logarithmic, prior, precision, start = target[1:6]
+    (wavelength, basis, data, root_weight), logarithmic, prior, precision, start = target[1:6]
     shapes, rest, level = space[1]
-    degrees, channels = columns.shape
-    if not _subtract(point, wavelength, columns, logarithmic, data, space[1]):
+    degrees, channels = basis.shape
+    if not _subtract(point, wavelength, basis, logarithmic, data, space[1]):
         return False
     for i in range(channels):
         rest[i] *= root_weight[i] * root_weight[i] * beta
-    _project(point, wavelength, columns, rest, level, shapes, force)
+    _project(point, wavelength, basis, rest, level, shapes, force)
     for p in range(point.size):
         pull, weights = 0.0, precision[p]
         for q in range(point.size):
@@ -404,13 +421,13 @@ def force_of(target: Any, beta: float, point: Any, space: Any, force: Any) -> bo
 
 
 @uncounted(fastmath=VECTORS)  # type: ignore[untyped-decorator]
-def _project(point: Any, wavelength: Any, columns: Any, rest: Any, level: Any, shapes: Any, force: Any) -> None:
-    """Sums of `rest` times the derivatives of ln R."""
-    degrees, channels = columns.shape
+def _project(point: Any, wavelength: Any, basis: Any, rest: Any, level: Any, shapes: Any, force: Any) -> None:
+    """Sums over channels of `rest`, (n,), times the derivatives of ln R, into `force`, (p,)."""
+    degrees, channels = basis.shape
     for m in range(degrees):
-        column, total = columns[m], 0.0
+        basis_row, total = basis[m], 0.0
         for i in range(channels):
-            total += rest[i] * column[i] * level[i]
+            total += rest[i] * basis_row[i] * level[i]
         force[m] = total
     for row in range(degrees, point.size, 3):
         centre, inverse, strength, shape = point[row], FWHM_OVER_SIGMA / point[row + 1], point[row + 2], shapes[row]
@@ -431,6 +448,7 @@ BLOCK = 8
 ORIGIN = 1.4
 """Wavelengths are counted from here, near the middle of the range, so that fourth powers lose few digits. [um]"""
 MOMENTS = 5
+"""Powers 0 to 4 of wavelength in the product of two bands' derivatives, each of second degree."""
 LEAST = 1e-9
 """A continuum below this, in a trial that will be refused, is replaced by it."""
 
@@ -450,12 +468,12 @@ def rows_of_sums(degrees: int, bands: int) -> int:
 @uncounted
 def continuum_rows(channels: Any, first: int, point: Any, degrees: int, logarithmic: bool, work: Any) -> Any:
     """Derivatives by the continuum's coefficients and ln R - ln C of one block; the lowest value of C."""
-    places, columns, data, roots = channels
-    count, least = places.shape[0], spread(1.0)
+    offsets, basis, data, roots = channels
+    count, least = offsets.shape[0], spread(1.0)
     for i in range(BLOCK):
         level = spread(0.0)
         for m in range(degrees):
-            level += load(columns, m * count + first + i) * load(point, m)
+            level += load(basis, m * count + first + i) * load(point, m)
         slope = load(roots, first + i)
         if logarithmic:
             store(work, degrees * BLOCK + i, load(data, first + i) - level)
@@ -465,29 +483,29 @@ def continuum_rows(channels: Any, first: int, point: Any, degrees: int, logarith
             slope = slope / level
             store(work, degrees * BLOCK + i, load(data, first + i) - logarithm(level))
         for m in range(degrees):
-            store(work, m * BLOCK + i, load(columns, m * count + first + i) * slope)
+            store(work, m * BLOCK + i, load(basis, m * count + first + i) * slope)
     return least
 
 
 @uncounted
 def gaussian_rows(channels: Any, first: int, point: Any, degrees: int, work: Any) -> None:
     """Weighted Gaussians times the powers 0, 1, 2 of wavelength, and the residual without the bands, of one block."""
-    places, _, _, roots = channels
+    offsets, _, _, roots = channels
     at = degrees * BLOCK
     row = at + BLOCK
     for band in range(degrees, point.shape[0], 3):
         centre, inverse = load(point, band) - ORIGIN, FWHM_OVER_SIGMA / load(point, band + 1)
         strength = load(point, band + 2)
         for i in range(BLOCK):
-            place = load(places, first + i)
-            x = (place - centre) * inverse
+            offset = load(offsets, first + i)
+            x = (offset - centre) * inverse
             shape = exponential(x * x * -0.5)
             store(work, at + i, load(work, at + i) - strength * shape)
             shape = shape * load(roots, first + i)
             store(work, row + i, shape)
-            shape = shape * place
+            shape = shape * offset
             store(work, row + BLOCK + i, shape)
-            store(work, row + 2 * BLOCK + i, shape * place)
+            store(work, row + 2 * BLOCK + i, shape * offset)
         row += 3 * BLOCK
     for i in range(BLOCK):
         store(work, at + i, load(work, at + i) * load(roots, first + i))
@@ -570,12 +588,14 @@ def evaluate(
 
 @uncounted(forceinline=True)  # type: ignore[untyped-decorator]
 def _keep(target: Any, row: int, taken: Any, value: Any) -> None:
+    """Write a row in the lanes where `taken` is above 0."""
     store(target, row, choose(taken, value, load(target, row)))
 
 
 @uncounted(forceinline=True)  # type: ignore[untyped-decorator]
 def _shape(point: Any, band: int) -> Any:
-    """A band's derivatives are g, by strength; by_centre (t - centre) g; and by_width (t - centre)^2 g."""
+    """Centre less `ORIGIN`, by_centre and by_width of a band. Its derivatives are g, by strength; by_centre
+    (t - centre) g; and by_width (t - centre)^2 g, with g its Gaussian and t the wavelength less `ORIGIN`."""
     centre, inverse = load(point, band) - ORIGIN, FWHM_OVER_SIGMA / load(point, band + 1)
     by_centre = load(point, band + 2) * inverse * inverse
     return centre, by_centre, by_centre / load(point, band + 1)

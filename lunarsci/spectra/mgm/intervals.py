@@ -32,11 +32,14 @@ from lunarsci.spectra.spectrum import reaches_over
 from lunarsci.tempering import Moves, carry, mutate
 
 WANTED_ACCEPTANCE, TUNING = 0.75, 1.0
+"""Share of trajectories that should be accepted, and how fast the step's length follows it."""
 FIRST_STEP, LEAST_STEP, MOST_STEP = 0.3, 1e-3, 0.7
+"""Length of a step of a trajectory, at first and at the ends of its range, in standard deviations."""
 SHORTEST, LONGEST = 0.5, 3.5
 """Lengths of trajectories in standard deviations, uniformly at random: a normal law is forgotten after pi / 2 and back,
 mirrored, after pi; the curved valleys of this model are longer."""
 MOST_LEAPS, MOST_BOUNCES = 400, 200
+"""Steps of a trajectory, and bounces in one of them."""
 AT_A_STEP, SETTLING = Moves(1, 30, 0.8, mirrored=True), Moves(24, 64, 0.12, mirrored=True)
 """Trajectories of each particle at a step of beta, and before draws are kept."""
 FIRST_MOVES, FRESH = 10, 8
@@ -49,6 +52,7 @@ PARTED = 0.01
 
 @compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
 def _velocity(factor: Any, momentum: Any, velocity: Any) -> None:
+    """Fill `velocity`, (f,), with L p: `factor` L is (f, f), lower, `momentum` p (f,), of the f free parameters."""
     for k in range(momentum.size):
         total, row = 0.0, factor[k]
         for i in range(k + 1):
@@ -58,6 +62,7 @@ def _velocity(factor: Any, momentum: Any, velocity: Any) -> None:
 
 @compiled(fastmath=VECTORS)  # type: ignore[untyped-decorator]
 def _push(factor: Any, free: Any, gradient: Any, step: float, momentum: Any) -> None:
+    """Add L' times the force on the free parameters times `step` to `momentum`; `gradient`, (p,), is the force."""
     for k in range(momentum.size):
         push, row = step * gradient[free[k]], factor[k]
         for i in range(k + 1):
@@ -66,7 +71,10 @@ def _push(factor: Any, free: Any, gradient: Any, step: float, momentum: Any) -> 
 
 @compiled
 def _drift(target: Any, factor: Any, point: Any, momentum: Any, velocity: Any, time: float) -> bool:
-    """Move for `time`, bouncing off the bounds; False where that takes too many bounces."""
+    """Move `point`, (p,), for `time`, bouncing off the bounds; False where that takes too many bounces.
+
+    `target` and `factor` are those of `run_population`; `momentum` and `velocity`, (f,), turn round at a bound.
+    """
     lower, upper, free = target[6:9]
     for _ in range(MOST_BOUNCES):
         first, wall = time, -1
@@ -95,7 +103,8 @@ def _drift(target: Any, factor: Any, point: Any, momentum: Any, velocity: Any, t
 def _trajectory(
     target: Any, beta: float, factor: Any, step: float, generator: Any, point: Any, energy: Any, space: Any
 ) -> float:
-    """One Hamiltonian trajectory of `point`, accepted or not; its `energy` follows. Returns 1 where accepted."""
+    """One Hamiltonian trajectory of `point`, (p,), accepted or not, in steps of `step` standard deviations; its
+    `energy`, (3,), follows. 1 where accepted."""
     trial, momentum, velocity, gradient, ending = space[2]
     free, change = target[8], 0.0
     step *= generator.uniform(0.8, 1.2)
@@ -138,14 +147,13 @@ def _move_all(
 
 
 def correct_coarse(target: Any, groups: IntArray, best: FloatArray) -> None:
-    """Set the coarse data so that residuals and slope at `best` are those of all channels.
+    """Set the coarse data so that residuals and slope at `best`, (p,), are those of all channels.
 
+    `target` and `groups` are those of `run_population`.
     Means of the residuals alone leave out how noise and slopes go together within a coarse channel.
     """
     channels, coarse, logarithmic, _, precision = target[:5]
-    fine, rough = (
-        model_and_jacobian(best, wavelength, columns.T, logarithmic) for wavelength, columns, *_ in target[:2]
-    )
+    fine, rough = (model_and_jacobian(best, wavelength, basis.T, logarithmic) for wavelength, basis, *_ in target[:2])
     if fine is None or rough is None:
         return
     all_residuals, all_slopes = (channels[2] - fine[0]) * channels[3], fine[1] * channels[3]
@@ -162,10 +170,11 @@ def correct_coarse(target: Any, groups: IntArray, best: FloatArray) -> None:
 
 @dataclass(slots=True, eq=False)
 class _Particles:
-    """A population of `tempering`; `run_population` says what `target`, `groups`, `factor` and `ancestors` are.
+    """A population of `tempering`; `run_population` has `target`, `groups`, `factor`, `ancestors` and `space`.
 
-    `energies` (n, 3) are those of `energies_of`; `tuning` has the step's length and the acceptance of the last moves.
-    Once `settling`, the metric is the population's own, renewed after every `FRESH` moves.
+    `all_points` are the n particles, (n, p) in the order and units of `MgmModel`; `energies` (n, 3) those of
+    `energies_of`; `tuning` (2,) has the step's length and the acceptance of the last moves. Once `settling`, the metric
+    is the population's own, renewed after every `FRESH` moves, of which there were `settled`.
     """
 
     target: Any
@@ -182,14 +191,16 @@ class _Particles:
 
     @property
     def points(self) -> FloatArray:
+        """The free parameters of the particles, (n, f)."""
         return self.all_points[:, self.target[8]]
 
     @property
     def ln_likelihood(self) -> FloatArray:
-        """What beta brings in: the data, less the law that fades as they come."""
+        """What beta brings in, (n,): the data, less the law that fades as they come."""
         return self.energies[:, 2] - self.energies[:, 0]
 
     def resample(self, beta: float, weight: FloatArray, chosen: IntArray) -> None:
+        """Take particles `chosen`, (n,), in place of all, whose weights, (n,), sum to 1."""
         self._take_metric(0.5 * (weight + 1.0 / weight.size))
         for rows in (self.all_points, self.energies, self.ancestors):
             rows[:] = rows[chosen]
@@ -197,6 +208,7 @@ class _Particles:
         correct_coarse(self.target, self.groups, best)
 
     def move(self, beta: float) -> None:
+        """One trajectory of every particle."""
         if self.settling:
             if self.settled % FRESH == 0:
                 self._take_metric(np.full(len(self.energies), 1.0 / len(self.energies)))
@@ -214,11 +226,13 @@ class _Particles:
 
 
 def _workspace(size: int, channels: int) -> Any:
+    """Room for one spectrum, as `_subtract` of `forward` takes it."""
     return np.empty((size, channels)), np.empty(channels), np.empty(channels)
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def _energies_of_all(target: Any, particles: Any, space: Any, energies: Any) -> None:
+    """`energies_of` of every particle, (n, 3)."""
     for i in range(particles.shape[0]):
         energies_of(target, particles[i], space, energies[i])
 
@@ -341,11 +355,13 @@ def ratios_of(points: FloatArray, model: MgmModel, wavelength_nm: FloatArray) ->
 
 PROBABILITIES = (0.6827, 0.95)
 KINDS = ("center_nm", "strength")
+"""Parameters that have a profile where none is named."""
 CLOSE = 0.01
 """Of the root of the rise of the objective, at which an end of an interval has been found."""
 NARROW = 1e-3
 """Of the standard error: a bracket narrower than this holds a jump of the profile, from one valley to another."""
 MOST_STEPS = 30
+"""Values tried for one end of an interval."""
 LOWER_BY = 0.1
 """By how much an objective below the fit's says that the fit is not the minimum: by 5 % of its density."""
 MISFIT = 1.5
@@ -391,7 +407,17 @@ def profile_intervals(fit: MgmFit, names: Sequence[str] | None = None) -> Interv
 
 @dataclass(slots=True)
 class _Profile:
-    """What is known of one profile: `restricted` fixes the parameter, `points` holds (value, root of rise, point)."""
+    """One profile, of a parameter in the unit of `MgmModel` [um for centres and widths] or of a ratio. [-]
+
+    Attributes
+    ----------
+    name, fit, best, sigma : of what; the fit whose minimum it begins at; the value there and its standard error.
+    low, high : bounds of the parameter.
+    restricted : the model in which the parameter is held at a value.
+    moved : a start, (p,), for that model, from a minimum, (p,), and the value.
+    points : values tried, each with the root of the rise of the objective, and the minimum found, (p,).
+    lowest : least rise; below 0 where a profile came to a lower minimum than the fit.
+    """
 
     name: str
     fit: MgmFit
@@ -537,6 +563,7 @@ DEFAULT_PARTICLES = 256
 GROUPS = 8
 """Into which the families of particles are put for R-hat."""
 LEAST_FAMILIES = 4
+"""Of particles, each from one at beta = `PARTED`; with fewer nothing says whether draws agree."""
 COARSE_UM = 0.015
 """Width of the channels that steer trajectories; a quarter of the sigma of the narrowest band."""
 CONTINUUM_SPREAD = 0.5
@@ -652,13 +679,13 @@ def _continuum_start(fit: MgmFit) -> FloatArray:
 def _target(fit: MgmFit, start: FloatArray) -> tuple[Any, ...]:
     """What `run_population` calls `target`, and `groups`."""
     model, weight, wavelength = fit.model, fit.data.weight, fit.wavelength_nm / 1e3
-    columns = np.ascontiguousarray(model.basis(fit.wavelength_nm).T)
+    basis = np.ascontiguousarray(model.basis(fit.wavelength_nm).T)
     bins = np.floor((wavelength - wavelength[0]) / COARSE_UM)
     groups = np.unique(bins, return_inverse=True)[1].astype(np.int64)
     total = np.bincount(groups, weight)
-    rows = [np.bincount(groups, weight * row) / total for row in (wavelength, *columns)]
-    fine = wavelength, columns, np.log(fit.reflectance), np.sqrt(weight)
-    coarse = rows[0], np.array(rows[1:]).reshape(len(columns), total.size), np.zeros(total.size), np.sqrt(total)
+    rows = [np.bincount(groups, weight * row) / total for row in (wavelength, *basis)]
+    fine = wavelength, basis, np.log(fit.reflectance), np.sqrt(weight)
+    coarse = rows[0], np.array(rows[1:]).reshape(len(basis), total.size), np.zeros(total.size), np.sqrt(total)
     free = np.flatnonzero(~model.fixed)
     target = (fine, coarse, model.logarithmic, model.prior, model.precision, start, model.lower, model.upper, free)
     return target, groups

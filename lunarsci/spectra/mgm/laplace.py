@@ -29,14 +29,16 @@ from lunarsci.spectra.mgm.forward import (
 from lunarsci.spectra.mgm.levenberg_marquardt import Channels, FitProblem, fill_lane, workspace_for
 
 MISFIT, USED, WIDE, PIVOT, VARIANCE, BEND, CHI2, ALIVE = range(8)
-"""Rows of a workspace's `state` here."""
+"""Rows of a workspace's `state` here: rms of data - model; parameters that the data determine, then reduced chi-square;
+weight of the data with their errors widened; least pivot of the curvature; variance and curvature of a parameter on its
+bound; chi-square; lowest value of the continuum."""
 TAIL = 30.0
 """From here on the one-sided law is an exponential one with a first correction, to 1e-4, and the error function runs
 out."""
 
 
 class LaplaceErrors(NamedTuple):
-    """Of fits, row by row.
+    """Of n fits of p parameters, row by row; in the units of `MgmModel`.
 
     Attributes
     ----------
@@ -51,7 +53,7 @@ class LaplaceErrors(NamedTuple):
 
 
 def _rooms(size: int) -> tuple[FloatArray, FloatArray]:
-    """For an inverse, both triangles, and a covariance."""
+    """For an inverse, both triangles, and the upper triangle of a covariance; (p p, 8) each."""
     return aligned(size * size), aligned(size * size)
 
 
@@ -69,6 +71,7 @@ def laplace_errors(spectra: Channels, problem: FitProblem, points: FloatArray, c
 
 @uncounted
 def _describe(spectra: Any, problem: Any, points: Any, chi2: Any, space: Any, rooms: Any, result: Any) -> None:
+    """`laplace_errors` into `result`, eight rows at a time."""
     rows, size = points.shape
     channels, state = spectra.data.shape[1], space.state
     for first in range(0, rows, LANES):
@@ -103,12 +106,12 @@ def _linearise(problem: Any, space: Any) -> Any:
     The derivatives themselves are summed: moments, which are enough to descend by, cost an error its last digits.
     """
     size, degrees, least = space.point.shape[0], problem.degrees, spread(1.0)
-    channels = (space.places, space.columns, space.data, space.roots)
+    channels = (space.offsets, space.basis, space.data, space.roots)
     for p in range(size):
         store(space.slope, p, spread(0.0))
         for q in range(p, size):
             store(space.curvature, p * size + q, spread(0.0))
-    for first in range(0, space.places.shape[0], BLOCK):
+    for first in range(0, space.offsets.shape[0], BLOCK):
         least = lowest(least, continuum_rows(channels, first, space.point, degrees, problem.logarithmic, space.work))
         gaussian_rows(channels, first, space.point, degrees, space.work)
         _derivatives(space, first, degrees)
@@ -127,7 +130,7 @@ def _derivatives(space: Any, first: int, degrees: int) -> None:
         inverse = FWHM_OVER_SIGMA / width
         by_centre = load(space.point, band + 2) * inverse * inverse
         for i in range(BLOCK):
-            shape, apart = load(space.work, row + i), load(space.places, first + i) - centre
+            shape, apart = load(space.work, row + i), load(space.offsets, first + i) - centre
             slope = shape * apart * by_centre
             store(space.work, row + i, slope)
             store(space.work, row + BLOCK + i, slope * apart / width)

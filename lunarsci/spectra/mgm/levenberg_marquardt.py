@@ -40,14 +40,23 @@ from lunarsci.spectra.mgm.forward import (
 )
 
 CONVERGED, ITERATION_LIMIT, NOT_FINITE, GIVEN_UP = 0, 1, 2, 3
+"""Statuses of a descent: at a minimum; not yet there; a start without a model; above its bar."""
 BELIEF = 1.3
 """Times what a step promises is what a descent may still gain; where that stays above its bar it is given up."""
 LEAST_DAMPING, MOST_DAMPING = 1e-9, 1e12
+"""Range of Marquardt's damping; a descent that reaches the upper end is over."""
 GENTLE_DAMPING = 1e-2
 """Below this a step that promises nothing means that there is nothing to gain."""
 
 CHI2, SHARE, SCALE, DAMPING, INCREASE, PREDICTED, PROMISED, TAKEN, RENEWED, TRIAL_SHARE, PIVOT, CROSSED = range(12)
-"""Rows of a workspace's `state`: of the objective's parts at the point, of the damping, of the step proposed."""
+"""Rows of a workspace's `state`.
+
+* At the point: `CHI2` and the prior's `SHARE` of the objective, `SCALE` that multiplies chi-square while tempered.
+* `DAMPING`, and `INCREASE`, its factor when a step is refused.
+* Of the step: `PREDICTED` decrease of the objective as just solved, `PROMISED` that of the step being tried, `PIVOT`
+  least of its matrix, `CROSSED` above 0 where it was stopped at a bound, `TRIAL_SHARE` the prior's share at the trial.
+* `TAKEN`: 1 where the trial became the point; `RENEWED`: 1 where bounds are looked at anew.
+"""
 MOST_ROUNDS = 2
 """Solutions of one step while bounds are crossed; more cost more than they gain."""
 EMPTY, NEW, TRYING = 0, 1, 2
@@ -57,7 +66,17 @@ GOES_ON, AGAIN = -1, -2
 
 
 class FitProblem(NamedTuple):
-    """What all spectra of a call have in common."""
+    """What all spectra of a call have in common: an `MgmModel` of p parameters as the kernels take it (`problem_of`).
+
+    Parameters are in its order and units: continuum coefficients, then centre, FWHM, strength. [-, um, um, ln R]
+
+    Attributes
+    ----------
+    degrees : number m of continuum coefficients.
+    logarithmic : whether the polynomial is ln C, and not C.
+    prior, precision : (p,) mean and (p, p) inverse covariance of the prior, 0 where it is flat.
+    lower, upper : (p,) bounds; equal where a parameter is fixed.
+    """
 
     degrees: int
     logarithmic: bool
@@ -75,6 +94,9 @@ class DescentOptions(NamedTuple):
     and half the steps are enough. The last steps, to convergence, are on the objective itself. `tolerance` is the
     decrease to be expected, in chi-square, at which a descent has converged; with `ahead` it still takes the step that
     is expected to bring it, and its objective is what is expected there.
+
+    `first_damping` is Marquardt's, relative to the diagonal. `slack` is for descents with a bar: how much more than its
+    step promises one may still gain, in chi-square, before it is given up (`_is_hopeless`).
     """
 
     tempering: bool
@@ -86,19 +108,27 @@ class DescentOptions(NamedTuple):
 
 
 class Channels(NamedTuple):
-    """Spectra by rows: wavelength (rows, n) [um], basis (rows, m, n), ln R (rows, n), root of the weight (rows, n)."""
+    """Spectra of n channels each, as the kernels take them; `channels_of` makes them of prepared spectra.
+
+    Attributes
+    ----------
+    wavelength : (rows, n), or (1, n) where all share it. [um]
+    basis : (rows, m, n) or (1, m, n), the columns of `continuum_basis` as rows. [-]
+    data : (rows, n) ln R. [-]
+    root_weight : (rows, n) 1 / standard deviation of ln R, 0 for a channel that does not count. [-]
+    """
 
     wavelength: Any
-    columns: Any
+    basis: Any
     data: Any
     root_weight: Any
 
     def part(self, rows: Any) -> "Channels":
         """Some of the spectra; wavelengths and basis that all share stay shared."""
-        wavelength, columns = self.wavelength, self.columns
+        wavelength, basis = self.wavelength, self.basis
         if len(wavelength) > 1:
-            wavelength, columns = wavelength[rows], columns[rows]
-        return Channels(wavelength, columns, self.data[rows], self.root_weight[rows])
+            wavelength, basis = wavelength[rows], basis[rows]
+        return Channels(wavelength, basis, self.data[rows], self.root_weight[rows])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,10 +156,29 @@ class KernelFits:
 
 
 class Workspace(NamedTuple):
-    """Arrays of eight columns to work in."""
+    """Arrays of eight columns, a lane each, to work in: n channels, padded to a multiple of `BLOCK`, p parameters.
 
-    places: Any
-    columns: Any
+    Attributes
+    ----------
+    offsets : (n, 8) wavelength less `ORIGIN`. [um]
+    basis : (m n, 8) of the continuum, channel i of coefficient c at c n + i. [-]
+    data, roots : (n, 8) ln R, and the root of the weight, 0 beyond the last channel. [-]
+    work : (`rows_of_work`, 8) derivatives of one block of channels.
+    sums : (`rows_of_sums`, 8) their products, summed over all channels (`evaluate`).
+    curvature : (p p, 8) upper triangle of J J', J the derivatives of ln R times the root of the weight.
+    matrix : padded system of a step (`padded_matrix`).
+    point, trial : (p, 8) parameters where the lane stands, and where its step leads.
+    slope : (p, 8) J r at the point, r the residuals: half of how fast chi-square falls.
+    pull, trial_pull : (p, 8) precision (p - prior) at the point and the trial.
+    step : (p, 8) change of the parameters.
+    free : (p, 8) 1 where a parameter may move, 0 where it stops at a bound or is fixed.
+    residuals : (n, 8) data - model, times the root of the weight, of the trial.
+    former : (n, 8) residuals of a trial before (`_shift_slope`).
+    state : (12, 8) numbers of the descent, at rows `CHI2` to `CROSSED`.
+    """
+
+    offsets: Any
+    basis: Any
     data: Any
     roots: Any
     work: Any
@@ -162,19 +211,28 @@ def workspace_for(size: int, degrees: int, channels: int) -> Workspace:
 def fill_lane(spectra: Any, row: int, space: Any, lane: int) -> None:
     """Copy a spectrum into a lane; channels beyond its last are that one again, without weight."""
     shared_row = min(row, spectra.wavelength.shape[0] - 1)
-    channels, count = spectra.data.shape[1], space.places.shape[0]
+    channels, count = spectra.data.shape[1], space.offsets.shape[0]
     for i in range(count):
         j = min(i, channels - 1)
-        space.places[i, lane] = spectra.wavelength[shared_row, j] - ORIGIN
+        space.offsets[i, lane] = spectra.wavelength[shared_row, j] - ORIGIN
         space.data[i, lane] = spectra.data[row, j]
         space.roots[i, lane] = spectra.root_weight[row, j] if i < channels else 0.0
-        for m in range(spectra.columns.shape[1]):
-            space.columns[m * count + i, lane] = spectra.columns[shared_row, m, j]
+        for m in range(spectra.basis.shape[1]):
+            space.basis[m * count + i, lane] = spectra.basis[shared_row, m, j]
 
 
 class _Jobs(NamedTuple):
-    """Of each lane: its phase, its job, iterations done, the status with which it ends, whether it is still tempered,
-    and whether its next step is not found yet."""
+    """What each lane is at; arrays (8,).
+
+    Attributes
+    ----------
+    phase : `EMPTY`, `NEW` before its start is judged, or `TRYING`.
+    job : place of its job among the points.
+    iterations : done so far.
+    end : status with which it ends, or `GOES_ON`.
+    tempered : whether the data's share is still divided (`DescentOptions`).
+    asked : whether its next step is still to be solved for.
+    """
 
     phase: Any
     job: Any
@@ -204,13 +262,14 @@ def _take_jobs(
 
 @uncounted
 def _damp_more(state: Any, lane: int) -> None:
+    """More damping, after a step that was refused or has no solution; by a growing factor."""
     state[DAMPING, lane] = max(state[DAMPING, lane], 1e-4) * state[INCREASE, lane]
     state[INCREASE, lane] *= 2.0
 
 
 @uncounted
 def _judge(state: Any, lane: int, chi2: float, phase: Any, tolerance: float) -> int:
-    """Take a trial or refuse it, and change the damping accordingly."""
+    """Take a trial of this chi-square or refuse it, and change the damping accordingly; a status, or `GOES_ON`."""
     share = state[TRIAL_SHARE, lane]
     if phase[lane] == NEW:
         if not math.isfinite(chi2):
@@ -233,7 +292,7 @@ def _judge(state: Any, lane: int, chi2: float, phase: Any, tolerance: float) -> 
 
 
 @uncounted
-def _judge_all(used: Any, rows: Any, options: Any, degrees: int, space: Any, jobs: Any) -> None:
+def _judge_all(counts: Any, rows: Any, options: Any, degrees: int, space: Any, jobs: Any) -> None:
     """Judge the trials of all lanes that are at work; the points of those taken move there."""
     state, sums = space.state, space.sums
     last, at_chi2 = sums.shape[0] - 1, (degrees + 1) ** 2 - 1
@@ -244,7 +303,7 @@ def _judge_all(used: Any, rows: Any, options: Any, degrees: int, space: Any, job
         chi2 = sums[at_chi2, lane] if sums[last, lane] > 0.0 else math.inf
         jobs.end[lane] = _judge(state, lane, chi2, jobs.phase, options.tolerance)
         if state[TAKEN, lane] > 0.0:
-            channels = used[rows[jobs.job[lane]]]
+            channels = counts[rows[jobs.job[lane]]]
             state[SCALE, lane] = channels / chi2 if jobs.tempered[lane] and chi2 > channels else 1.0
             for p in range(space.point.shape[0]):
                 space.point[p, lane] = space.trial[p, lane]
@@ -256,7 +315,10 @@ def _judge_all(used: Any, rows: Any, options: Any, degrees: int, space: Any, job
 
 @uncounted
 def _weigh(state: Any, lane: int, settled: bool) -> int:
-    """What to do with a step that keeps within the bounds."""
+    """What to do with a step that keeps within the bounds: `GOES_ON`, `AGAIN` or a status.
+
+    `settled` : whether it promises less than the tolerance.
+    """
     if not state[PIVOT, lane] > 0.0:
         _damp_more(state, lane)
         return AGAIN
@@ -273,7 +335,8 @@ def _weigh(state: Any, lane: int, settled: bool) -> int:
 
 @uncounted
 def _step(problem: Any, space: Any, held_steps: int) -> None:
-    """Solve for the steps of all lanes and clip them to the bounds."""
+    """Solve for the steps of all lanes and clip them to the bounds; with `held_steps` 1 parameters that crossed a bound
+    stay there, and the others follow."""
     state, scale = space.state, load(space.state, SCALE)
     free_again(
         space.point, problem.lower, problem.upper, scale, space.slope, space.pull, load(state, RENEWED), space.free,
@@ -300,7 +363,7 @@ def _set_trial(problem: Any, space: Any, lane: int) -> None:
 
 @uncounted
 def _is_hopeless(state: Any, lane: int, bars: Any, options: Any, jobs: Any) -> bool:
-    """Whether a descent, past its first steps and hardly damped, will end above its bar."""
+    """Whether a descent, past its first steps and hardly damped, will end above its bar (`descend`)."""
     if bars.size == 0 or state[SCALE, lane] != 1.0 or state[DAMPING, lane] > GENTLE_DAMPING:
         return False
     here, predicted = state[CHI2, lane] + state[SHARE, lane], state[PREDICTED, lane]
@@ -369,33 +432,36 @@ def _dismiss(problem: Any, ahead: bool, space: Any, jobs: Any, points: Any, outc
 
 
 def descend(
-    spectra: Channels, used: FloatArray, problem: FitProblem, options: DescentOptions, rows: IndexArray,
+    spectra: Channels, counts: FloatArray, problem: FitProblem, options: DescentOptions, rows: IndexArray,
     points: FloatArray, outcomes: FloatArray, space: Workspace, curvatures: FloatArray, bars: FloatArray,
 ) -> None:  # fmt: skip
     """Move each of `points` (jobs, p) to the minimum that its neighbourhood leads to on spectrum `rows[job]`, which has
-    `used[row]` channels with weight; its row of `outcomes` becomes chi-square, objective, iterations, status.
+    `counts[row]` channels with weight; its row of `outcomes` becomes chi-square, objective, iterations, status.
 
     `curvatures`, (jobs, p, p) or (0, p, p) where not wanted, become J J' at the end, upper triangles. A descent that
     will not come below its bar, (jobs,), is given up; (0,) for none.
     """
     numbers, flags = np.zeros((4, LANES), dtype=np.int64), np.zeros((2, LANES), dtype=np.bool_)
-    _descend(spectra, used, problem, options, rows, points, outcomes, space, curvatures, bars, _Jobs(*numbers, *flags))
+    _descend(
+        spectra, counts, problem, options, rows, points, outcomes, space, curvatures, bars, _Jobs(*numbers, *flags)
+    )
 
 
 @uncounted
 def _descend(
-    spectra: Any, used: Any, problem: Any, options: Any, rows: Any, points: Any, outcomes: Any, space: Any,
+    spectra: Any, counts: Any, problem: Any, options: Any, rows: Any, points: Any, outcomes: Any, space: Any,
     curvatures: Any, bars: Any, jobs: Any,
 ) -> None:  # fmt: skip
+    """`descend`, compiled: lanes take jobs, are judged, propose a step and leave, until no job is left."""
     following, left = 0, 0
-    channels = (space.places, space.columns, space.data, space.roots)
+    channels = (space.offsets, space.basis, space.data, space.roots)
     while left > 0 or following < rows.size:
         following = _take_jobs(spectra, problem, options, rows, points, space, jobs, following)
         evaluate(
             channels, space.trial, problem.degrees, problem.logarithmic, 1, space.work, space.residuals, space.sums
         )
         store(space.state, TRIAL_SHARE, prior_pull(space.trial, problem.prior, problem.precision, space.trial_pull))
-        _judge_all(used, rows, options, problem.degrees, space, jobs)
+        _judge_all(counts, rows, options, problem.degrees, space, jobs)
         update(space.sums, space.trial, problem.degrees, load(space.state, TAKEN), space.curvature, space.slope)
         _dismiss(problem, False, space, jobs, points, outcomes, curvatures)
         _propose(problem, options, bars, space, jobs)
@@ -413,7 +479,7 @@ def coarse_size(channels: int) -> int:
 
 
 def coarsened(fine: Channels, together: int) -> Channels:
-    """Weighted means of `together` channels each; channels without weight do not count."""
+    """Spectra with `together` neighbouring channels as one, their weighted means; those without weight do not count."""
     channels = fine.data.shape[1]
     cells = -(-channels // together)
 
@@ -428,14 +494,14 @@ def coarsened(fine: Channels, together: int) -> Channels:
     total = summed(weight)
     with np.errstate(invalid="ignore"):
         share = np.where(total[..., None] > 0.0, weight / total[..., None], alike / alike.sum(axis=1, keepdims=True))
-    means = summed(share * cut(fine.wavelength)), summed(share[:, None] * cut(fine.columns))
+    means = summed(share * cut(fine.wavelength)), summed(share[:, None] * cut(fine.basis))
     return Channels(*means, summed(share * cut(fine.data)), np.sqrt(total))
 
 
 @uncounted
 def _slope(space: Any, problem: Any, curved: int) -> None:
     """Residuals, J r and, where `curved` is 1, J J' of a workspace's spectra at its trial points."""
-    channels = (space.places, space.columns, space.data, space.roots)
+    channels = (space.offsets, space.basis, space.data, space.roots)
     evaluate(
         channels, space.trial, problem.degrees, problem.logarithmic, curved, space.work, space.residuals, space.sums
     )
@@ -444,7 +510,7 @@ def _slope(space: Any, problem: Any, curved: int) -> None:
 
 @uncounted
 def _shift_to_means(fine: Any, coarse: Any, together: int) -> None:
-    """Shift the coarse data so that the coarse residuals are the means of the fine ones."""
+    """Shift the coarse data of two workspaces so that the coarse residuals are the means of the fine ones."""
     count = fine.residuals.shape[0]
     for cell in range(-(-count // together)):
         total = spread(0.0)
@@ -458,7 +524,7 @@ def _shift_to_means(fine: Any, coarse: Any, together: int) -> None:
 
 @uncounted
 def _shift_slope(fine: Any, coarse: Any, problem: Any) -> None:
-    """Shift the coarse data by what the model changes along the step by which the two slopes differ."""
+    """Shift the coarse data of two workspaces by what the model changes along the step by which their slopes differ."""
     size = coarse.point.shape[0]
     one, none = spread(1.0), spread(0.0)
     for p in range(size):
@@ -513,6 +579,7 @@ def correct(
 
 @uncounted
 def _invert_all(curvatures: Any, problem: Any, space: Any, covariances: Any) -> None:
+    """`inverses` into `covariances`, (jobs, p, p)."""
     jobs, size, state = curvatures.shape[0], curvatures.shape[1], space.state
     one, side = spread(1.0), matrix_side(space.matrix)
     for first in range(0, jobs, LANES):
@@ -548,7 +615,9 @@ point that is not farther than this factor allows is on its way back."""
 COARSE_DOUBT = 3.0
 """By how much the order of two minima may differ between coarse and full spectrum."""
 MAX_ROUNDS = 4
+"""Rounds of hops, each from a better minimum than the one before."""
 FIRST_DAMPING, LATER_DAMPING = 1e-3, 1e-6
+"""Damping at which a descent begins: from afar, and near a minimum."""
 SIGNIFICANT = 2.0
 """Standard errors from which a difference counts, and a band: the level of 95 % of all tests of this model."""
 COMPETING_CHI2 = SIGNIFICANT**2 + COARSE_TOLERANCE
@@ -562,6 +631,9 @@ class Multistart:
 
     Attributes
     ----------
+    fine, coarse : the spectra on all channels, and with `together` of these as one, corrected at the minima found.
+    counts, spaces : of both, number of channels with weight, (n,), and a workspace.
+    floor : (n,) objective of the best minimum on the coarse spectrum, with which others are compared.
     best, covariance, outcome : (n, p), (n, p, p) and (n, 4): chi-square, objective, iterations, status.
     competing, competing_sigmas : (n,) how much higher the next minimum is, and how far it lies.
     """
@@ -573,7 +645,7 @@ class Multistart:
         self.together = coarse_size(channels)
         self.fine = fine
         self.coarse = coarsened(fine, self.together)
-        self.used = [np.count_nonzero(spectra.root_weight, axis=1).astype(float) for spectra in (fine, self.coarse)]
+        self.counts = [np.count_nonzero(spectra.root_weight, axis=1).astype(float) for spectra in (fine, self.coarse)]
         self.spaces = tuple(
             workspace_for(size, problem.degrees, spectra.data.shape[1]) for spectra in (fine, self.coarse)
         )
@@ -648,7 +720,16 @@ class Multistart:
         """Where points lead to on the spectra of number k, fine or coarse, and the outcomes."""
         ends, outcomes, spectra = np.array(points), np.empty((len(rows), 4)), (self.fine, self.coarse)[k]
         descend(
-            spectra, self.used[k], self.problem, options, rows, ends, outcomes, self.spaces[k], curvatures, np.empty(0)
+            spectra,
+            self.counts[k],
+            self.problem,
+            options,
+            rows,
+            ends,
+            outcomes,
+            self.spaces[k],
+            curvatures,
+            np.empty(0),
         )
         return ends, outcomes
 

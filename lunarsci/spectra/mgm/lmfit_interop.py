@@ -110,7 +110,12 @@ def refit(fit: MgmFit, parameters: "Parameters") -> MgmFit:
 
 
 class _Objective:
-    """Residuals of a fit and their derivatives, of parameter vectors and of `lmfit.Parameters`."""
+    """Residuals of a fit and their derivatives, of parameter vectors and of `lmfit.Parameters`.
+
+    The r residuals are those of ln R times the root of the weight, (n,), then `rows`, a factor of the prior's
+    precision, times the distance from its mean. Parameters, (p,), are in the order and units of `MgmModel`; `units`
+    takes them to those of their names.
+    """
 
     def __init__(self, fit: MgmFit) -> None:
         model = fit.model
@@ -134,6 +139,7 @@ class _Objective:
         return residual, np.vstack([-(slope * self.root_weight).T, self.rows])
 
     def _point(self, parameters: "Parameters") -> FloatArray:
+        """Parameters in the units of `MgmModel`, (p,)."""
         values = np.array([parameters[name].value for name in self.names], dtype=np.float64)
         return np.asarray(values / self.units, dtype=np.float64)
 

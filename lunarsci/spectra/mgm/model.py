@@ -21,6 +21,7 @@ RANGE_NM = (400.0, 2600.0)
 """The polynomials are written on this interval, mapped to -1 to 1, so that coefficients compare between spectra: see
 `FIT_RANGE_NM`."""
 _DEGREES = {"quadratic": 2, "cubic": 3, "none": -1}
+"""Of the polynomial, by the end of a continuum's name; others are straight lines."""
 
 
 def is_logarithmic(name: MgmContinuum) -> bool:
@@ -51,6 +52,7 @@ BOUND_SIGMAS = 4.0
 MIN_FWHM_UM = 0.05
 """No band of a mineral is narrower; assumed."""
 KINDS = ("center_nm", "fwhm_nm", "strength")
+"""Parameters of a band, in their order: the ends of their names."""
 NM_PER_UM = 1e3
 
 

@@ -62,7 +62,8 @@ class PartModel:
     Attributes
     ----------
     index : (k,) places of its parameters among the p of the model.
-    problem : as the kernel takes it.
+    problem : as the kernel takes it, with k parameters.
+    model : the whole.
     rest, following : (p - k,) places of the others, and what they do when its parameters leave the prior, (k, p - k).
     """
 
@@ -115,7 +116,16 @@ def askers(
     grid: Any, tile: Any, place: Any, keys: Any, summary: Any, changed: Any, reach: int, most: int
 ) -> Any:  # fmt: skip
     """Pairs of a pixel and one within `reach` whose solution it tries: of `most` other kinds, where a pixel of it
-    changed, the likest."""
+    changed, the likest.
+
+    Parameters
+    ----------
+    grid : (tiles, `TILE`, `TILE`) number of the pixel at each line and sample of a tile, -1 for none.
+    tile, place : (n,) number of each pixel's tile, and (n, 2) its line and sample in that.
+    keys : (n,) kind of its solution (`kinds_of`).
+    summary : (n, s) by which spectra are compared.
+    changed : (n,) whether its solution changed in the round before.
+    """
     _, lines, samples = grid.shape
     rows, lenders = np.empty(most * keys.size, dtype=np.int64), np.empty(most * keys.size, dtype=np.int64)
     count_all, near, apart = 0, np.empty((2 * reach + 1) ** 2, dtype=np.int64), np.empty((2 * reach + 1) ** 2)
@@ -144,7 +154,11 @@ def askers(
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def likest_of(rows: Any, solved: Any, tile: Any, place: Any, data: Any, root: Any, most: int) -> Any:
-    """For each of `rows`, of the `most` nearest of `solved` in its tile, the likest; tiles ascend in `solved`."""
+    """For each of `rows`, of the `most` nearest of `solved` in its tile, the likest; tiles ascend in `solved`.
+
+    `rows` and `solved` are numbers of pixels; `tile` and `place` as in `askers`; `data` and `root`, (n, c), are ln R
+    and the root of its weight.
+    """
     result = np.empty(rows.size, dtype=np.int64)
     near, apart = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
     others = tile[solved]
@@ -172,15 +186,19 @@ def likest_of(rows: Any, solved: Any, tile: Any, place: Any, data: Any, root: An
 
 
 TILE = 32
+"""Lines, and samples, of a tile."""
 TOGETHER = 8
 """Tiles searched together in one thread, so that the lanes of the processor are busy to the end."""
 CONTEST_EVERY = 8
 """Pixels from one contest to the next, along lines and samples; chosen by `tests/benchmarks/bench_map.py`."""
 DENSEST = 2
+"""Pixels from one contest to the next at which they become no denser."""
 RESTLESS = 0.08
 """Share of pixels of a tile that took a minimum of a neighbour, above which contests are twice as dense; assumed."""
 MOST_ROUNDS = 12
+"""Of an exchange between neighbours."""
 NEAREST = 4
+"""Solved pixels among which one looks for the likest spectrum, to start from its solution."""
 FAR, NEAR = 8, 4
 """How far, in lines and samples, a pixel looks for other kinds of solutions, and for those that are new."""
 TRIED = 3
@@ -195,6 +213,7 @@ WORTH = 0.01
 """By how much another minimum must be lower to be taken, in chi-square: that of a tenth of a standard error."""
 ORIGINS = ("single_descent", "from_neighbour", "contest", "not_fitted")
 SINGLE, NEIGHBOUR, CONTEST, NOWHERE = range(4)
+"""Where a pixel's minimum came from: one descent, a neighbour's solution, a contest from all starts, no fit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -277,12 +296,13 @@ def _tiles(places: IndexArray, fitted: BoolArray) -> Iterator[IndexArray]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Spectra:
-    """Prepared spectra of n pixels on all channels, without weight where one cannot be used.
+    """Prepared spectra of n pixels on all channels, without weight where one cannot be used; filled by `of`.
 
     Attributes
     ----------
     groups : pixels with the same usable channels, and their spectra on these.
-    channels : ln R less `level`, (n,), and the rest, as the kernel takes them.
+    channels : ln R less `level`, and the rest, as the kernel takes them.
+    level : (n,) mean of ln R, which a model that is free of scale does without; 0 for others. [-]
     fitted : (n,) whether there are enough channels.
     """
 
@@ -341,7 +361,11 @@ class Search:
 
     Attributes
     ----------
+    spectra : of n pixels, as the kernel takes them; `counts`, (n,), of channels with weight.
+    tile, place, grid, summary : as in `askers`.
+    spaces, parts : workspaces by number of parameters, and models by kind.
     points, outcomes : (n, p), and (n, 4) chi-square, objective, iterations and status.
+    competing, competing_sigmas : (n,) as in `KernelFits`.
     origin, changed : (n,) as in `RegionFits`; whether a pixel changed in the last round.
     """
 
@@ -353,7 +377,7 @@ class Search:
         self.grid = np.full((tile[-1] + 1, TILE, TILE), -1)
         self.grid[tile, place[:, 0], place[:, 1]] = np.arange(len(tile))
         rows, size = len(tile), model.prior.size
-        self.used = np.count_nonzero(spectra.root_weight, axis=1).astype(float)
+        self.counts = np.count_nonzero(spectra.root_weight, axis=1).astype(float)
         self.spaces: dict[int, Workspace] = {}
         self.parts: dict[int, PartModel] = {}
         self.points, self.outcomes = np.zeros((rows, size)), np.full((rows, 4), np.inf)
@@ -465,7 +489,7 @@ class Search:
         if size not in self.spaces:
             self.spaces[size] = workspace_for(size, problem.degrees, self.spectra.data.shape[1])
         descend(
-            self.spectra, self.used, problem, options, rows, points, outcomes, self.spaces[size],
+            self.spectra, self.counts, problem, options, rows, points, outcomes, self.spaces[size],
             np.empty((0, size, size)), bars,
         )  # fmt: skip
         return outcomes

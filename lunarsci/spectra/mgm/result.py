@@ -231,6 +231,7 @@ class MgmFailure:
 
 _SCALARS = ("id", "assemblage", "continuum", "prior", "converged", "status", "rms_ln", "reduced_chi2", "bic")
 _NESTED = ("nbsr", "continuum_coefficients")
+"""Keys of JSON that are plain values of a fit, and that hold several."""
 
 
 def pyroxene_pair(bands: Sequence[BandPrior | FittedBand], region: str) -> tuple[int, int] | None:

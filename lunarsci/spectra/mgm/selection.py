@@ -1,6 +1,7 @@
 """Which minerals a spectrum speaks for: every assemblage fitted, compared by evidence.
 
-How much a spectrum speaks for an assemblage: Laplace's approximation of the logarithm of the evidence.
+`choose` gives a `Choice` for each spectrum, for `spectra fit --assemblage auto`. How much a spectrum speaks for an
+assemblage is Laplace's approximation of the logarithm of the evidence (`EvidencePlace.ln_evidence`).
 """
 
 import math
@@ -26,16 +27,24 @@ from lunarsci.spectra.mgm.result import UNLIKE_RMS, MgmFailure, MgmFit
 from lunarsci.spectra.spectrum import Spectrum
 
 NODES = 80
+"""Of the quadrature over a mineral's amount."""
 FIRST_DAMPING, STEPS = 1e-3, 8
+"""Of Levenberg's and Marquardt's descent with correlated errors of channels."""
 LN_2PI = math.log(2.0 * math.pi)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EvidencePlace:
-    """The objective of a model at a point, where errors of channels hang together.
+    """The objective of a model at a point, where errors of channels are correlated; made by `at`.
 
-    `whiten`, (n, n), makes residuals independent with unit variance; `curvature` is half the Hessian (Gauss-Newton),
-    `descent` half the negative slope. The objective is infinite where the continuum is not above 0.
+    `whiten`, (n, n), makes residuals independent with unit variance.
+
+    Attributes
+    ----------
+    point : (p,) in the order and units of `MgmModel`.
+    objective : sum of squares of the whitened residuals, and the prior's share; infinite where the continuum is not
+        above 0. [-]
+    curvature, descent : (p, p) half the Hessian (Gauss-Newton), (p,) half the negative slope; NaN there.
     """
 
     point: FloatArray
@@ -46,6 +55,7 @@ class EvidencePlace:
 
     @classmethod
     def at(cls, point: FloatArray, model: MgmModel, data: MgmData, whiten: FloatArray) -> "EvidencePlace":
+        """The objective of `model` for `data` at a point."""
         wavelength = data.wavelength_nm
         modelled = model_and_jacobian(point, wavelength / 1e3, model.basis(wavelength), model.logarithmic)
         if modelled is None:
@@ -124,12 +134,17 @@ def ln_all_negative(bands: Iterable[BandPrior]) -> float:
 
 
 def _ln_det(matrix: FloatArray) -> float:
+    """NaN where the determinant is not above 0."""
     sign, value = np.linalg.slogdet(matrix)
     return float(value) if sign > 0 else math.nan
 
 
 def _ln_volume(curvature: FloatArray, gradient: FloatArray, point: FloatArray, held: BoolArray, m: int) -> float:
-    """ln of the integral of the posterior over its value at `point`, less k/2 ln 2 pi and m/2 ln 2 pi."""
+    """ln of the integral of the posterior over its value at `point`, less k/2 ln 2 pi and m/2 ln 2 pi.
+
+    `curvature` (p, p) and `gradient` (p,), the descent, are those of an `EvidencePlace` at `point` (p,); `held` (p,)
+    says which parameters are on a bound; the first m are the continuum's.
+    """
     from scipy.special import erfcx, log_ndtr
 
     free = ~held
@@ -167,6 +182,7 @@ DEFAULT_CHOICE_STARTS = 3
 TOGETHER = 16
 """Spectra of a block: some seconds of work."""
 LONGEST_REASON = 300
+"""Characters of the sentence on a spectrum without a choice."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,7 +192,7 @@ class Candidate:
     Attributes
     ----------
     bic : of the fit with independent errors, where the comparison starts; lower is better. [-]
-    ln_evidence : with errors that hang together, to a constant shared by all candidates of the spectrum. [-]
+    ln_evidence : with correlated errors, to a constant shared by all candidates of the spectrum. [-]
     score : ln of the probability, to a constant shared by all. [-]
     probability : that this assemblage is the right one, of all that were compared. [-]
     """
@@ -259,7 +275,7 @@ def choose(
 ) -> list[Choice | MgmFailure]:
     """Fit every assemblage to every spectrum and compare them; one result or one stated reason each, in order.
 
-    What Gaussians and priors do not know of natural minerals hangs together over tens of nanometres: the evidence is
+    What Gaussians and priors do not know of natural minerals is correlated over tens of nanometres: the evidence is
     that of residuals with a standard deviation of 0.008 and 4 % of the deepest absorption, correlated over 60 nm,
     beside the noise. Strengths have priors as wide as the deepest absorption, so that spectra of weak and of strong
     bands are judged alike. An assemblage with n minerals has the probability exp(0.57 ln evidence - 2.04 n), over the
@@ -268,7 +284,7 @@ def choose(
     of 5 vol % or more (`tests/benchmarks/choices.py`); the kernel's size and length hardly matter.
 
     Assemblages that cannot be told apart are named together, as a family. The evidence is strong where these are few
-    and have a mineral in common: that mineral is there, the others are open. Leaving each suite out of what was
+    and have a mineral in common: that mineral is there, the others are open. Leaving each sample series out of what was
     learned, 62 % of the 156 spectra are strong and 92 % of these families right (two assemblages on average); of 153
     further spectra, by the numbers learned from the 156, 70 and 91 %. The share of the probability that a family holds
     was chosen with these figures in view: at 0.9 they are 71 and 90, 81 and 89 %. The assemblage named first is right
@@ -338,6 +354,7 @@ def _compared(
 
 
 def _scores(spectrum: Spectrum, models: Sequence[MgmModel], model_error: float | None, starts: int) -> FloatArray:
+    """BIC, ln evidence and score of each assemblage, (models, 3). Raises DataError with fewer than two scores."""
     fine = prepare(spectrum, MISFIT_FLOOR)
     depth = max(LEAST_DEPTH, float(deepest_absorption(fine.wavelength_nm, fine.reflectance[None])[0]))
     data = _coarse(fine, math.hypot(MISFIT_FLOOR, START_ERROR * depth))
@@ -350,6 +367,7 @@ def _scores(spectrum: Spectrum, models: Sequence[MgmModel], model_error: float |
 
 
 def _choice(name: str, families: Sequence[str], numbers: FloatArray) -> Choice:
+    """The choice of a spectrum from its numbers, (families, 3), as `_scores` has them."""
     compared = [Candidate(one, *row) for one, row in zip(families, numbers.tolist(), strict=True)]
     ranked = sorted((c for c in compared if math.isfinite(c.score)), key=lambda c: -c.score)
     odds = np.exp([c.score - ranked[0].score for c in ranked])
@@ -391,8 +409,8 @@ def _coarse(fine: MgmData, error: float) -> MgmData:
 
 
 def _whitening(data: MgmData, error: float) -> FloatArray:
-    """(n, n) matrix that makes residuals of ln R independent with unit variance: noise, and `error` that hangs
-    together."""
+    """(n, n) matrix that makes residuals of ln R independent with unit variance: noise, and `error`, which is
+    correlated over `DETAIL_NM`."""
     apart = math.sqrt(3.0) * np.abs(np.subtract.outer(data.wavelength_nm, data.wavelength_nm)) / DETAIL_NM
     noise = np.maximum(1.0 / data.weight - data.model_error**2, 0.0)
     covariance = error**2 * (1.0 + apart) * np.exp(-apart) + np.diag(noise + (WHITE_SHARE * error) ** 2)

@@ -215,7 +215,7 @@ ERRORS = "share_errors.csv"
 def measured_errors(kind: str) -> Mapping[str, float]:
     """Root mean square errors of `spectra unmix` by mineral, of a kind of target or class of rocks; empty without any.
 
-    Each suite counts the same, and was left out of what judged it. [-]
+    Each sample series counts the same, and was left out of what judged it. [-]
     """
     squares: dict[str, dict[str, list[float]]] = {}
     for row in table_rows(ERRORS):

@@ -1,4 +1,4 @@
-"""Readers of reflectance spectra: ECSV, text, RELAB, FITS tables, ENVI libraries, USGS splib07; one file per format."""
+"""Readers of reflectance spectra; `FORMATS` of `lunarsci.registry` has every format, in the order of trying."""
 
 from lunarsci.spectra.readers.dispatch import read_spectra
 

@@ -74,6 +74,7 @@ def one_line(error: object) -> str:
 
 
 def _unit(column: Any, file: str) -> Any:
+    """Unit of a column for astropy, None for none; what astropy does not recognise is tried as one of ours."""
     from astropy import units as u
 
     if column.unit is None:
@@ -118,6 +119,7 @@ def _wavelength_place(names: list[str], units: list[Any], file: str) -> int | No
 
 
 def _values(column: Any, file: str) -> FloatArray:
+    """A column as floats, (rows,), NaN where it is masked. Raises DataError for one of another kind."""
     if not _is_number_column(column) or column.ndim != 1:
         raise DataError(f"{file}: column {quoted(str(column.name))} does not hold one number a row; correct it")
     values = np.ma.filled(np.ma.asarray(column).astype(float), np.nan)
@@ -125,6 +127,7 @@ def _values(column: Any, file: str) -> FloatArray:
 
 
 def _wavelength(column: Column, unit: Any, file: str) -> Column:
+    """A column with its values in nm or um. Raises DataError for a unit that is no wavelength."""
     from astropy import units as u
 
     if unit is None:
@@ -143,6 +146,7 @@ def _wavelength(column: Column, unit: Any, file: str) -> Column:
 
 
 def _reflectance(column: Column, unit: Any) -> Column:
+    """A column with its values as fractions or per cent, as far as its unit says."""
     from astropy import units as u
 
     if unit is None:
@@ -209,6 +213,7 @@ def read_fits(source: InputFile) -> SpectrumTable:
 
 
 def _first_table(source: InputFile) -> Any:
+    """The first table of a FITS file with two columns or more, else that of its first spectrum as an image, or None."""
     from astropy.io import fits
     from astropy.table import Table
 

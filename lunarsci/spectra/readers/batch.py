@@ -227,6 +227,7 @@ def _with_wavelengths(item: Any) -> Any:
 def _from_memory(
     batch: SpectraBatch, item: Any, wavelength_unit: WavelengthUnit | None, reflectance_unit: ReflectanceUnit | None
 ) -> Iterator[SpectrumRows]:
+    """The spectra of one item that is no file, into `batch` as well; a failure there where they cannot be used."""
     before, notes = len(batch.origins) + len(batch.failures), list[str]()
     name = f"spectrum {before + 1}"
     try:

@@ -292,6 +292,7 @@ def _check_unique(names: Sequence[str], file: str) -> None:
 
 
 def _wavelength_place(names: Sequence[str], file: str) -> int:
+    """Place of the wavelength column: that with such a name, else the first. Raises DataError for two, or none."""
     result = [k for k, name in enumerate(names) if is_wavelength(name) and not _is_wavelength_error(name)]
     result = [k for k in result if not _WAVENUMBER & {*name_tokens(names[k])}] or result
     if len(result) > 1:

@@ -184,6 +184,7 @@ def spectra_of(table: SpectrumTable, stated: StatedUnits) -> SpectrumRows:
 
 
 def _rows_with_wavelength(table: SpectrumTable) -> tuple[SpectrumTable, int]:
+    """The table without rows that lack a wavelength, and how many these are. Raises DataError for too many."""
     file, wavelength = table.source.name, table.wavelength.values
     with np.errstate(invalid="ignore"):
         keep = np.isfinite(wavelength) & (wavelength > 0)
@@ -218,7 +219,15 @@ def _ascending(wavelength: FloatArray, table: SpectrumTable) -> tuple[Any, str]:
 
 @dataclass(frozen=True, slots=True)
 class _About:
-    """What is recorded of the spectrum in a row: of all alike, and its own column, unit and counts of channels."""
+    """Makes the metadata of the spectrum in a row.
+
+    Attributes
+    ----------
+    record : what is the same of all.
+    names : of their columns, or the place of one without a name, from 1.
+    units, which : ways in which columns were read, and the way of each row, a place among them, (n,).
+    counts : by what is recorded, numbers of channels, (n,).
+    """
 
     record: dict[str, Any]
     names: list[str | int]
@@ -344,6 +353,7 @@ def _sorted(values: Any, order: IntArray) -> Any:
 
 
 def _report(spectra: SpectrumRows, counts: dict[str, IntArray], file: str) -> None:
+    """Warn of what was done to channels, by counts (n,), and of spectra without any. DataError for an only one."""
     for key, what in _REMARKS.items():
         touched = np.flatnonzero(counts[key])
         if touched.size:

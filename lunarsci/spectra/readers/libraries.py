@@ -92,7 +92,7 @@ def _relab_table(source: InputFile, rows: list[Row], width: int, comments: list[
 
 @dataclass(frozen=True, slots=True)
 class _Record:
-    """One file of the library: its set (`splib07a`), its title, and its values with their lines."""
+    """One file of the library: its set (`splib07a`), its title, its values, (n,), as written, and the line of each."""
 
     set: str
     title: str
@@ -137,6 +137,7 @@ def read_splib(source: InputFile) -> SpectrumTable:
 
 
 def _record(source: InputFile) -> _Record:
+    """A file of the library. Raises DataError for one without its header or values."""
     lines, _ = split_lines(inputs.text(source))
     match = _SPLIB_HEADER.match(lines[0][1]) if lines else None
     rows = [Row(n, (line,)) for n, line in lines[1:]]
@@ -221,6 +222,7 @@ def read_jcamp(source: InputFile) -> SpectrumTable:
 
 
 def _blocks(text: str) -> Iterator[dict[str, str]]:
+    """The labelled records of each block of a JCAMP-DX file, by key; first what stands before the first block."""
     block, key = dict[str, str](), ""
     for line in text.splitlines():
         line = line.split("$$")[0].rstrip()

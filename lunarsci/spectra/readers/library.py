@@ -190,6 +190,7 @@ def to_ecsv(members: Sequence[EndMember], provenance: Mapping[str, Any] | None =
 
 
 def _check_ids(ids: Sequence[str]) -> None:
+    """Raises DataError for ids that come twice or that a reader of the library would take for another column."""
     twice = next((id for id in ids if ids.count(id) > 1), "")
     if twice or not ids:
         what = f"{twice}: two end members have this id; rename one" if ids else "no end member is left for the library"
@@ -227,6 +228,7 @@ def library_pages(members: Sequence[EndMember]) -> "Iterator[Figure]":
 
 
 def _draw(panel: Any, mineral: str | None, group: Sequence[EndMember]) -> None:
+    """The spectra of one mineral, or of those without one, in a panel."""
     from matplotlib import colormaps
 
     key = CHEMISTRY.get(mineral or "", ("",))[0]
@@ -266,6 +268,7 @@ def read_metadata(source: InputFile) -> dict[str, dict[str, Any]]:
 
 
 def _description(row: Mapping[str, str], place: str) -> dict[str, Any]:
+    """What a row of metadata says of a sample, as `end_member` takes it."""
     mineral = _mineral(row, place)
     prefix = f"{ABBREVIATIONS.get(mineral or '', '')}_".lower()
     wanted = CHEMISTRY.get(mineral, ()) if mineral else COMPONENTS
@@ -280,6 +283,7 @@ def _description(row: Mapping[str, str], place: str) -> dict[str, Any]:
 
 
 def _mineral(row: Mapping[str, str], place: str) -> str | None:
+    """The mineral that a row states, or that makes up `PURE` of it; `MIXTURE`, or None where nothing says."""
     stated = row.get("mineral", "")
     if stated.casefold() == MIXTURE:
         return MIXTURE
@@ -351,6 +355,7 @@ def _duplicates(count: int) -> list[str]:
 
 
 def _faults(member: EndMember) -> list[str]:
+    """What must be mended in an end member."""
     texts = []
     size = member.wavelength_nm.size
     if size < FEWEST_CHANNELS:
@@ -369,6 +374,7 @@ def _faults(member: EndMember) -> list[str]:
 
 
 def _chemistry_faults(member: EndMember) -> list[str]:
+    """Components that its mineral does not have, and such as do not add up."""
     wanted = CHEMISTRY.get(member.mineral or "", ())
     texts = [
         f"{key} = {getattr(member, key):g} in a mineral without it ({member.mineral}); delete it"
@@ -386,6 +392,7 @@ def _chemistry_faults(member: EndMember) -> list[str]:
 
 
 def _remarks(member: EndMember) -> list[str]:
+    """What is less than one might expect of an end member."""
     wavelength = member.wavelength_nm
     texts = [f"no {key}" for key in CHEMISTRY.get(member.mineral or "", ()) if getattr(member, key) is None]
     texts = [f"{', '.join(texts)}: composition unknown"] if texts else []

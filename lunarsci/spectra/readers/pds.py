@@ -90,6 +90,8 @@ class PdsLabel:
 
 @dataclass(slots=True)
 class _Object:
+    """An object of a PDS3 label: its name, its keys with their texts, and the objects within it."""
+
     name: str
     keys: dict[str, str] = field(default_factory=dict)
     parts: "list[_Object]" = field(default_factory=list)
@@ -145,6 +147,7 @@ def data_file(label: str, name: str) -> str:
 
 
 def _of_pds3(source: InputFile) -> tuple[list[TableObject], list[ImageObject]]:
+    """Tables and images of a PDS3 label: objects that it points to, with columns as text or with lines and samples."""
     text = source.data.split(b"\nEND\r")[0].split(b"\nEND\n")[0]
     root = _objects(inputs.text(InputFile(source.name, text + b"\n")), source.name)
     file_name, tables, images = Path(source.name).name, list[TableObject](), list[ImageObject]()
@@ -190,6 +193,7 @@ def _objects(text: str, file: str) -> _Object:
 
 
 def _walk(parent: _Object) -> Iterator[tuple[_Object, _Object]]:
+    """Every object within one, at any depth, with the one that holds it."""
     for part in parent.parts:
         yield parent, part
         yield from _walk(part)
@@ -207,6 +211,7 @@ def _pointed(pointer: str, file_name: str, record: int) -> tuple[str, int]:
 
 
 def _pds3_field(column: _Object, place: int) -> LabelField:
+    """A column of a table, the one after `place` others."""
     keys = column.keys
     marks = [keys.get(f"{what}_CONSTANT", "") for what in ("MISSING", "INVALID", "NOT_APPLICABLE", "NULL")]
     start = _whole(keys.get("START_BYTE"), place + 1) - 1
@@ -215,6 +220,7 @@ def _pds3_field(column: _Object, place: int) -> LabelField:
 
 
 def _pds3_image(part: _Object, root: _Object, file: str, offset: int) -> ImageObject:
+    """An image of a PDS3 label, `offset` bytes into `file`; its wavelengths may be anywhere in the label."""
     keys = part.keys
     kind, bits = keys.get("SAMPLE_TYPE", "").strip('"').upper(), _whole(keys.get("SAMPLE_BITS"), 8)
     order = next((sign for start, sign in _PDS3_ORDER.items() if kind.startswith(start)), ">")
@@ -232,6 +238,7 @@ def _pds3_image(part: _Object, root: _Object, file: str, offset: int) -> ImageOb
 
 
 def _of_pds4(root: Element, file: str) -> tuple[list[TableObject], list[ImageObject]]:
+    """Tables and images of a PDS4 label."""
     tables, images = list[TableObject](), list[ImageObject]()
     centres = [one for one in root.iter() if one.tag in ("center_wavelength", "center_value")]
     for area in root.iter("file_area_observational"):
@@ -245,6 +252,7 @@ def _of_pds4(root: Element, file: str) -> tuple[list[TableObject], list[ImageObj
 
 
 def _pds4_table(part: Element, name: str) -> TableObject:
+    """A table of a PDS4 label, in the file `name`."""
     fields = [one for one in part.iter() if one.tag in ("field_character", "field_delimited", "field_binary")]
     marks = ("missing_constant", "invalid_constant", "error_constant", "not_applicable_constant")
     return TableObject(
@@ -260,6 +268,7 @@ def _pds4_table(part: Element, name: str) -> TableObject:
 
 
 def _pds4_image(part: Element, name: str, centres: Sequence[Element]) -> ImageObject:
+    """An image of a PDS4 label, in the file `name`, with the wavelengths of all its bands."""
     axes = sorted((_whole(_text(one, "sequence_number")), _text(one, "axis_name").lower(),
                    _whole(_text(one, "elements"))) for one in part.iter("axis_array"))  # fmt: skip
     sizes = {axis: size for _, axis, size in axes}
@@ -285,20 +294,24 @@ def _dtype(kind: str) -> str:
 
 
 def _text(parent: Element, path: str) -> str:
+    """Text of an element, '' where there is none."""
     result = parent.find(path)
     return "" if result is None else (result.text or "").strip()
 
 
 def _plain(value: str) -> str:
+    """A value of a PDS3 label without its quotes, on one line."""
     return " ".join(value.strip().strip('"').split())
 
 
 def _whole(value: str | None, default: int = 0) -> int:
+    """The whole number that a text begins with."""
     match = re.match(r"\s*\"?(\d{1,15})", value or "")
     return int(match[1]) if match else default
 
 
 def _numbers(texts: Sequence[str]) -> tuple[float, ...]:
+    """The numbers among texts, those of PDS3 in base 16 as IEEE single precision."""
     result = list[float]()
     for cell in texts:
         plain = cell.strip().strip('"')
@@ -383,6 +396,7 @@ def _records(data: InputFile, table: TableObject) -> list[str]:
 
 
 def _binary(data: InputFile, table: TableObject) -> dict[str, Any]:
+    """Columns by name: numbers, NaN where a mark says so, and lists of texts."""
     formats = [np.dtype(one.dtype or f"S{max(one.length, 1)}") for one in table.fields]
     ends = [one.start + kind.itemsize for one, kind in zip(table.fields, formats, strict=True)]
     beyond = min(one.start for one in table.fields) < 0 or max(ends) > table.row_bytes
@@ -402,6 +416,7 @@ def _binary(data: InputFile, table: TableObject) -> dict[str, Any]:
 
 
 def _unmarked(values: Any, missing: tuple[float, ...]) -> Any:
+    """NaN in place of marks of no data, in the same array."""
     values[np.isin(values, missing)] = np.nan
     return values
 

@@ -37,7 +37,11 @@ _OTHER_WORDS = {"sigma", "std", "stdev", "error", "err", "unc", "uncertainty", "
 
 
 class _Table(NamedTuple):
-    """Two columns of a file as they stand: the units it states, or None, and where each row is."""
+    """Two columns of a file as they stand, (n,) each.
+
+    `length` and `per` are the units that it states, of wavelength and irradiance (as `_NM` and `_IRRADIANCE`), None
+    where it states none; `places` say where each row is ('line 12').
+    """
 
     wavelength: FloatArray
     irradiance: FloatArray
@@ -78,6 +82,7 @@ def read_solar_spectrum(source: InputFile) -> SolarSpectrum:
 
 
 def _check_values(table: _Table, file: str) -> None:
+    """Raises DataError for numbers that are not above 0 and for wavelengths that come twice."""
     order = np.argsort(table.wavelength, kind="stable")
     again = order[1:][np.diff(table.wavelength[order]) == 0]
     faults = [(k, f"a second {table.wavelength[k]:g}; keep one row per wavelength") for k in again[:1]]
@@ -120,6 +125,7 @@ def _units(table: _Table, file: str) -> tuple[str, str, float]:
 
 
 def _integral(table: _Table, length: str) -> float:
+    """Irradiance from 430 to 2430 nm, of wavelengths in the unit `length`."""
     order = np.argsort(table.wavelength)
     wavelength, irradiance = table.wavelength[order] * _NM[length], table.irradiance[order]
     low, high = COVERED_NM
@@ -130,6 +136,7 @@ def _integral(table: _Table, length: str) -> float:
 
 
 def _from_text(content: str, file: str) -> _Table:
+    """The table of a text. Raises DataError for one without two columns of numbers."""
     lines, comments = split_lines(content)
     if not any(map(_BEGINS.match, (line for _, line in lines))):
         raise DataError(f"{file}: no line begins with a number; a solar spectrum has a wavelength and an irradiance")
@@ -178,6 +185,7 @@ def _irradiance_unit(name: str) -> str | None:
 
 
 def _from_ecsv(content: str, file: str) -> _Table:
+    """The table of an ECSV file, by astropy, its units converted. Raises DataError for one that is broken."""
     from astropy import units as u
     from astropy.io import ascii
 

@@ -236,6 +236,7 @@ def to_nm(values: FloatArray, unit: str) -> FloatArray:
 
 
 def _wavelength_choice(result: str | None, stated: str | None, low: float, high: float, what: str) -> tuple[str, str]:
+    """Unit of wavelengths from `low` to `high`, and who said so: the file, the caller or the values."""
     if result is not None and _plausible(result, low, high):
         return result, "file"
     if stated is not None:

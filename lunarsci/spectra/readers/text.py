@@ -272,6 +272,7 @@ def _names(line: str, separator: str, width: int, place: str) -> list[str]:
 
 
 def _names_in_comment(comments: Sequence[tuple[int, str]], separator: str, first: Row, file: str) -> list[str] | None:
+    """Names of columns in the last comment above the first row, where it has as many as that; else None."""
     above = [(n, comment) for n, comment in comments if n < first.line]
     if not above:
         return None

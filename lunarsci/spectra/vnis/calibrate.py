@@ -42,10 +42,15 @@ from lunarsci.spectra.vnis.splice import GAIN_LIMIT, STEP_LIMIT, Shift, Splice, 
 
 # What is too little, too dark or too bright to go on with: assumed, each far from what the public spectra have.
 _LEAST_LIT = 0.01
+"""Share of the field of view that must be lit; assumed."""
 _MUCH_SHADOW, _MOST_SHADOW = 0.3, 0.9
+"""Shares of the field of view in shadow beyond which that is noted, and the observation refused; assumed."""
 _SWIR_PLATEAU = 3
+"""So many channels of exactly the largest radiance are clipped; assumed."""
 _GRAZING_DEG = 80.0
+"""Incidence from which small slopes change the result much; assumed."""
 _NOTED_STEP_SIGMAS = 3.0
+"""Standard errors of a step between sub-bands from which it is noted; assumed."""
 _FLAT = 0.04
 """Sunlight on the Moon varies by some 15 % (standard deviation) from 450 to 945 nm; assumed."""
 
@@ -327,6 +332,7 @@ def _check_level(item: DetectorSpectrum, label: Label, id: str) -> None:
 def _spliced(
     vnir: DetectorSpectrum, swir: DetectorSpectrum, id: str, notes: _Notes, *, remove_vnir_steps: bool
 ) -> Splice:
+    """How the detectors are joined; notes take what is unusual about that."""
     try:
         splice = find_splice(
             vnir.corrected,
@@ -355,6 +361,7 @@ def _spliced(
 def _closing_remarks(
     vnir: DetectorSpectrum, swir: DetectorSpectrum, observation: Observation, settings: Settings, notes: _Notes
 ) -> None:
+    """Notes on noise, a low Sun, photometry and the observation."""
     for item in (vnir, swir):
         if item.enlarged:
             worst = f"up to {item.excess.max():.1f} times"

@@ -166,6 +166,7 @@ class Calibration:
         }
 
     def _pixels(self) -> dict[str, int | float]:
+        """Counts of pixels and samples of the footprint, by their keys."""
         return {
             "pixels": int(self.footprint.inside.sum()),
             "pixels_lit": int(self.footprint.lit.sum()),
@@ -178,6 +179,7 @@ class Calibration:
 
 
 def _of_detector(item: DetectorSpectrum) -> dict[str, Any]:
+    """The keys of one detector."""
     return {
         "incidence_deg": item.geometry.incidence_deg,
         "emission_deg": item.geometry.emission_deg,

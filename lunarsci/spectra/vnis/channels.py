@@ -95,6 +95,7 @@ def footprint_ring() -> tuple[FloatArray, FloatArray]:
 
 
 def _by_channel(table: str, wavelength_nm: FloatArray, detector: Detector, names: tuple[str, ...]) -> list[FloatArray]:
+    """Columns of a table at channels, each from the row whose wavelengths hold it; of the shape of the channels."""
     wavelength = np.asarray(wavelength_nm, dtype=float)
     rows = [row for row in table_rows(table) if row["detector"] == detector]
     starts = np.array([float(row["from_nm"]) for row in rows])
@@ -133,8 +134,15 @@ def displaced_channels(radiance: FloatArray, irradiance: FloatArray) -> int:
 
 @dataclass(frozen=True, slots=True)
 class _Edge:
-    """How a step is looked for: channels on either side, ln R that is too much, and what is too much beside the
-    median step of the spectrum where it is also more than `least`."""
+    """How a step is looked for, and from which size on it counts.
+
+    Attributes
+    ----------
+    channels : on either side.
+    most : size that is too much. [ln R]
+    times, least : a step is too much, too, that is so many times the median step of the spectrum and more than `least`.
+        [-, ln R]
+    """
 
     channels: int
     most: float

@@ -89,7 +89,10 @@ def reflectance_factor(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChannelFactors:
-    """What radiances of version 1 are multiplied with, channel by channel. [-]"""
+    """What radiances of version 1 are multiplied with, channel by channel: `vnir` (100,), `swir` (300,). [-]
+
+    `source` is the name of their file.
+    """
 
     source: str
     vnir: FloatArray

@@ -1,4 +1,4 @@
-"""File names of Chang'E spectrometer products, and what they say."""
+"""File names and labels of Chang'E spectrometer products, taken apart and checked."""
 
 import math
 import re
@@ -189,6 +189,7 @@ def _name(root: Element, file: str) -> ProductName:
 
 
 def _geometry(root: Element, file: str) -> Geometry:
+    """The angles of the label. Raises DataError where its directions of Sun and view give another phase angle."""
     sun = ".//angle_pointing_results/solar/{}"
     view = ".//angle_pointing_results/center_point/{}"
     incidence = _angle(root, sun.format("incidence_angle"), file)
@@ -205,11 +206,13 @@ def _geometry(root: Element, file: str) -> Geometry:
 
 
 def _coordinate(root: Element, key: str, file: str) -> float:
+    """Of the rover, NaN where the label has none. [deg]"""
     path = f".//rover_location/{key}"
     return _angle(root, path, file) if _text(root, path, file) else math.nan
 
 
 def _data_file(area: Element, file: str) -> DataFile:
+    """A data file of the label. Raises DataError for number types and orders that are not read."""
     axes = sorted(
         (
             _count(axis, "sequence_number", file) or 0,

@@ -3,9 +3,8 @@
 The cube of the VNIR detector is 100 bands of 256 x 256 pixels, 4-byte floats without a header; the tables hold
 short-wave radiances (300 rows), and auxiliary rows of the cube (100 bands).
 
-Whether what a label says of time, place and Sun can be true together, and fits the name of its file.
-
-The Sun's direction depends on nothing but time and place: an angle, a year, a hemisphere that is wrong shows, whatever
+It is checked whether what a label says of time, place and Sun can be true together, and fits the name of its file. The
+Sun's direction depends on nothing but time and place: an angle, a year, a hemisphere that is wrong shows, whatever
 else agrees with it. What shows nowhere: a time off by whole synodic months (29.5 days), which moves the Sun by a degree
 or two and changes its distance by up to 3 %, where names, labels and tables agree on it.
 """
@@ -65,6 +64,7 @@ def doubts_of(label: Label) -> list[str]:
 
 
 def _of_sun(label: Label) -> str:
+    """That the label's incidence is not that of the Sun then and there; '' where it is."""
     stated = label.geometry.incidence_deg
     stated_place = math.isfinite(label.longitude_deg) and math.isfinite(label.latitude_deg)
     place = (label.longitude_deg, label.latitude_deg) if stated_place else LANDING_SITE
@@ -78,6 +78,7 @@ def _of_sun(label: Label) -> str:
 
 
 def _of_session(label: Label) -> str:
+    """That the measurement lies outside the session of the label's name; '' where it lies within."""
     try:
         first, last = (
             datetime.strptime(text, "%Y%m%d%H%M%S").replace(tzinfo=UTC) for text in (label.name.start, label.name.stop)
@@ -282,6 +283,7 @@ def _one(
     is_label: bool,
     role: str = "SCI",
 ) -> str:
+    """Path of the one file of an observation that is of a kind and a role. Raises DataError for none or several."""
     fits = [(o.version, p) for o, p in same if (o.role, o.kind, o.is_label) == (role, kind, is_label)]
     right = [p for version, p in fits if version == name.version]
     what = f"{'label' if is_label else 'data file' if role == 'SCI' else 'auxiliary table'} of its {kind} product"

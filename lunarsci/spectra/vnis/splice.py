@@ -23,7 +23,7 @@ from lunarsci.spectra.vnis.channels import JOIN_NM, SPLICED_NM, SUB_BAND_STEP_NM
 from lunarsci.spectra.vnis.detector import DetectorSpectrum, Settings, irradiance_at
 
 _LEAST_CHANNELS = 5
-
+"""On either side of a step, or in the overlap, without which nothing is joined."""
 
 CALIBRATION = {"vnir": 0.05, "swir": 0.07}
 """Relative error of the level of each detector, as quoted for the instrument; assumed, the source could not be read.
@@ -37,6 +37,7 @@ _FEWEST_GAINS = 5
 _OVERLAP_NM: FloatArray = np.intersect1d(VNIR_NM, SWIR_NM)
 _VNIR_OVERLAP, _SWIR_OVERLAP = np.isin(VNIR_NM, _OVERLAP_NM), np.isin(SWIR_NM, _OVERLAP_NM)
 _BELOW_JOIN = VNIR_NM < JOIN_NM
+"""Channels that both detectors have, which these are of each, and those of VNIR that the joined spectrum takes."""
 _SMOOTH_CHANNELS = 21
 """Over so many channels a difference of two solar spectra is broad, not detail; assumed."""
 _NEGLIGIBLE = 1e-5
@@ -296,6 +297,7 @@ def _carried(vnir: DetectorSpectrum, swir: DetectorSpectrum, shift: Shift, setti
 
 
 def _respliced(vnir: DetectorSpectrum, swir: DetectorSpectrum, shift: Shift, settings: Settings) -> FloatArray:
+    """The joined spectrum, (390,), with ln R of both detectors shifted; NaN where it cannot be joined any more."""
     first, second = (d.corrected * np.exp(s) for d, s in zip((vnir, swir), shift, strict=True))
     try:
         splice = find_splice(

@@ -96,7 +96,7 @@ def test_a_matrix_that_is_not_positive_definite_is_reported_in_its_lane() -> Non
 
 @compiled
 def _normal_equations(space: Any, degrees: int, logarithmic: bool) -> None:
-    channels = (space.places, space.columns, space.data, space.roots)
+    channels = (space.offsets, space.basis, space.data, space.roots)
     evaluate(channels, space.trial, degrees, logarithmic, 1, space.work, space.residuals, space.sums)
     update(space.sums, space.trial, degrees, spread(1.0), space.curvature, space.slope)
 
@@ -152,7 +152,7 @@ def test_corrected_coarse_spectra_have_the_slope_of_the_fine_ones() -> None:
 
     def slope(spectra: Channels, row: int) -> tuple[np.ndarray, np.ndarray]:
         own = min(row, len(spectra.wavelength) - 1)
-        found = model_and_jacobian(points[row], spectra.wavelength[own], spectra.columns[own].T, False)
+        found = model_and_jacobian(points[row], spectra.wavelength[own], spectra.basis[own].T, False)
         jacobian = found[1] * spectra.root_weight[row]
         return jacobian @ ((spectra.data[row] - found[0]) * spectra.root_weight[row]), jacobian @ jacobian.T
 

@@ -295,6 +295,7 @@ def _material_radiance(
 
 
 def _truth(scene: Scene, materials: list[Material], pixels: ScenePixels) -> Truth:
+    """What is lit within the short-wave field of view; `materials` are soil and rock."""
     seen = footprint_mask()
     lit = seen & ~pixels.shadow
     count = int(lit.sum())
