@@ -35,6 +35,7 @@ FEWEST_VIEWS = 4
 FEWEST_TILT_DEG = 10.0
 """Angle between the farthest normals of the board below which focal length and distance are the same; assumed."""
 ROUNDS = 3
+"""Adjustments, each of which leaves out the outliers of the one before."""
 RIM = 24
 """Places on the rim of a circle from which the middle of its picture is computed: their polygon misses the ellipse
 alike on all sides."""
@@ -93,7 +94,13 @@ class BoardTarget:
 
 
 class Sighting(NamedTuple):
-    """Points of a target in a picture: their places in `BoardTarget.points_m` (n,), and where they are (n, 2) [px]."""
+    """Points of a target in a picture.
+
+    Attributes
+    ----------
+    numbers : their places in `BoardTarget.points_m`. (n,)
+    pixels : u and v. (n, 2) [px]
+    """
 
     numbers: npt.NDArray[np.int64]
     pixels: FloatArray
@@ -219,7 +226,17 @@ class CameraCalibration:
 
 
 class _Placed(NamedTuple):
-    """A sighting with its camera and the board's pose before it, by that of the left camera and the relative one."""
+    """A sighting with its camera and the board's pose before it.
+
+    Attributes
+    ----------
+    moment : number of the moment in the views, from 0.
+    side : number of the camera, 0 the left or only one, 1 the right one.
+    sighting, camera : what that camera sees, and the camera with the intrinsics of this step.
+    turn, way : rotation vector and translation of the board in this camera's frame. (3,) [rad], (3,) [m]
+    by_poses : derivatives of both by the board's pose before the left camera, then by the pose of the right camera
+        beside it, rotation first each. (6, 12)
+    """
 
     moment: int
     side: int
@@ -231,9 +248,17 @@ class _Placed(NamedTuple):
 
 
 class _Adjustment(NamedTuple):
-    """What is adjusted: free intrinsics of each camera, points of the board, and what each camera sees of them.
+    """The adjustment of one camera or two.
 
-    Parameters are those intrinsics, of two cameras rotation vector and translation between them, and the board's poses.
+    Parameters `x` are the free intrinsics of each camera, of two the rotation vector [rad] and translation [m] between
+    them, and for each moment rotation vector and translation of the board before the left camera.
+
+    Attributes
+    ----------
+    plain : the cameras with which it began, left one first.
+    free : places in `INTRINSICS` of those that are adjusted.
+    points : of the board. (n, 3) [m]
+    views : by moment, what each camera sees of them.
     """
 
     plain: tuple[Camera, ...]

@@ -40,7 +40,15 @@ LEVEL = 0.01
 
 
 class Cloud(NamedTuple):
-    """Points of matched pixels: (n, 3) in the world [m], their (row, column), and the disparities' errors [px]."""
+    """Points of n matched pixels.
+
+    Attributes
+    ----------
+    points : in the world. (n, 3) [m]
+    pixels : row and column of each in the rectified left picture. (n, 2)
+    disparity : u in the left picture less u in the right one. (n,) [px]
+    sigma_px : its random error. (n,) [px]
+    """
 
     points: FloatArray
     pixels: npt.NDArray[np.int64]

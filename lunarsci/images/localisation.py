@@ -185,9 +185,13 @@ class _Unknowns(NamedTuple):
 
 
 class _Residuals(NamedTuple):
-    """Of the n ties of a pair: residuals of u, v and disparity in the farther picture (n, 3) and derivatives of what is
-    computed by all unknowns (n, 3, size), both whitened and times the root of the `weight`, Huber's, 0 to 1 (n,);
-    `off_px` (n, 2), plain residuals of u and v [px]; `inflation`, 1 or more, that these residuals ask for."""
+    """Residuals of the n ties of a pair.
+
+    residual : of u, v and disparity in the farther picture, whitened, times the root of the weight. (n, 3) [-]
+    slopes : derivatives of what is computed by all unknowns, whitened and weighted alike. (n, 3, size)
+    off_px, weight : plain residuals of u and v (n, 2) [px]; Huber's weights, 0 to 1 (n,).
+    inflation : by which errors of templates should be multiplied for these residuals, 1 or more. [-]
+    """
 
     residual: FloatArray
     slopes: FloatArray
@@ -297,8 +301,8 @@ class _Bundle:
 
 
 def _diagonal(sigma: FloatArray, places: FloatArray) -> FloatArray:
-    """Covariances of (u, v, disparity) (n, 3, 3) [px^2], from errors of disparities (n,) [px] and covariances of (u, v),
-    one each or one for all: (n, 2, 2) or (2, 2)."""
+    """Covariances of (u, v, disparity) (n, 3, 3), from errors of disparities (n,) and covariances of (u, v), one each
+    or one for all: (n, 2, 2) or (2, 2). [px^2], [px], [px^2]"""
     covariance = np.zeros((len(sigma), 3, 3))
     covariance[:, :2, :2], covariance[:, 2, 2] = places, sigma**2
     return covariance
