@@ -35,8 +35,16 @@ if TYPE_CHECKING:
 
 
 class _GivenSite(NamedTuple):
-    """A site as it was given: what is compared, curves of single states by aspect, file to SHA-256, whose wheel, and
-    what is left open of the site; None for what the input does not say."""
+    """A site as it was given; None for what the input does not say.
+
+    Attributes
+    ----------
+    site : parameters that are compared.
+    curves : of single states by aspect, as results have them.
+    inputs : SHA-256 of each file by its name.
+    wheel : the wheel that a result is for: `of` (rover or file), `width_m`, and `name` where it has one.
+    left_open : what the result leaves open of the site.
+    """
 
     site: Site
     curves: Mapping[str, Any] | None = None
