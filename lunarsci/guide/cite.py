@@ -37,9 +37,14 @@ NOT_FIELDS = ("type", "tables", "recalled")
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """One source: the text that the result has, and what could be told from it; '' where it could not.
+    """One source.
 
-    `work` is its entry in `references.toml`, empty where it is not there; `entry` its name there.
+    Attributes
+    ----------
+    text : as the result has it.
+    authors, year, journal, volume, page, doi : what follows from the text, '' for what does not.
+    entry : its name in `references.toml`, '' where it is not there.
+    work : its entry there, empty where it is not there.
     """
 
     text: str

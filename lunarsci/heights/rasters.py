@@ -38,7 +38,9 @@ KINDS = {
     **{"JP2OpenJPEG": "JPEG 2000", "EHdr": "raw grid with its .hdr", "HFA": "image of Erdas Imagine"},
     **dict.fromkeys(("GSAG", "GSBG", "GS7BG"), "grid of Surfer"),
 }
+"""What GDAL's readers read, in words."""
 HEIGHT = "height_m"
+"""Name of the heights among the `bands` of a `HeightRaster`."""
 _AT_ONCE = 500_000
 """Nodes that are looked up at a time."""
 

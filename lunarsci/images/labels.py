@@ -30,11 +30,12 @@ MOST_TRIES = 100
 COARSE_PX = 1.0
 """A fit that misses by more than a pixel says so, as does a calibration; assumed."""
 Z_DOWN = re.compile(r'COORD\w*SYSTEM_NAME\s*=\s*"?(?:ROVER|SITE|LOCAL_LEVEL|LANDER)\w*')
+"""A label whose frame has its z downwards."""
 DOWN = "z of the label's frame points down: x, -y, -z of it are told"
 NUMBER = r"[-+]?(?:\d++\.?+\d*+|\.\d++)(?:[eEdD][-+]?\d++)?"
-
-
+"""A number of a label."""
 CORNERS = ("up_left", "down_left", "up_right", "down_right", "center")
+"""Places of the picture whose directions a label lists."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
