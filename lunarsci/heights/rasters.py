@@ -116,6 +116,7 @@ class HeightRaster:
         return self.crs, "" if self.square else "its cells are not square, or turned"
 
     def _local_stretch(self, local: MapProjection, places: FloatArray) -> float:
+        """Largest stretch of the local projection at places (2, n) of the raster, infinite where it has none. [-]"""
         try:
             return local.worst_stretch(*moved(self.crs, local.wkt, *places).T)
         except ParameterError:  # one of the places is that opposite to its middle

@@ -156,6 +156,7 @@ def read_table(path: Path, layers: tuple[str, ...], unread: tuple[str, ...], **h
 
 
 def _node_table(path: Path) -> tuple[list[str], FloatArray] | None:
+    """Names and numbers of a file's columns x, y and height, as `node_columns` gives them; None for other files."""
     content = text(read_input(path))
     return node_columns(InputFile(str(path), content.encode()), content)
 

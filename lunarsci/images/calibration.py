@@ -148,6 +148,7 @@ def _chessboard(eight: npt.NDArray[np.uint8], size: tuple[int, int], patient: bo
 
 
 def _circles(eight: npt.NDArray[np.uint8], size: tuple[int, int], kind: Kind) -> FloatArray | None:
+    """Middles of the circles of a board of `size` (columns, rows), row by row; None for none. (n, 2) [px]"""
     cv2 = open_cv()
     wanted = cv2.SimpleBlobDetector_Params()
     wanted.minArea, wanted.maxArea, wanted.minThreshold, wanted.thresholdStep = 12.0, 0.05 * eight.size, 20.0, 5.0
@@ -277,6 +278,7 @@ class _Adjustment(NamedTuple):
         return self.lenses + (6 if len(self.plain) > 1 else 0)
 
     def cameras(self, x: FloatArray) -> list[Camera]:
+        """The cameras with the intrinsics of `x`."""
         vectors = np.array([camera.vector() for camera in self.plain])
         vectors[:, self.free] = x[: self.lenses].reshape(len(self.plain), -1)
         return [camera.with_vector(vector) for camera, vector in zip(self.plain, vectors, strict=True)]
@@ -286,9 +288,11 @@ class _Adjustment(NamedTuple):
         return x[self.lenses : self.shared] if len(self.plain) > 1 else np.zeros(6)
 
     def poses(self, x: FloatArray) -> FloatArray:
+        """Rotation vector and translation of the board before the left camera, by moment. (moments, 6) [rad, m]"""
         return x[self.shared :].reshape(-1, 6)
 
     def placed(self, x: FloatArray) -> Iterator[_Placed]:
+        """Every sighting, moment by moment, the left camera's first."""
         cameras, relative = self.cameras(x), self.relative(x)
         for k, (view, pose) in enumerate(zip(self.views, self.poses(x), strict=True)):
             for index, sighting in enumerate(view):
@@ -301,7 +305,7 @@ class _Adjustment(NamedTuple):
                 yield _Placed(k, index, sighting, cameras[index], turn, way, by)
 
     def misses(self, x: FloatArray) -> list[FloatArray]:
-        """What is left of each sighting. (n, 2) [px]"""
+        """Computed less seen places of the points of each sighting. (n, 2) each [px]"""
         return [
             one.camera.project_with_derivatives(self.points[one.sighting.numbers], one.turn, one.way).pixels
             - one.sighting.pixels
@@ -339,6 +343,7 @@ class _Adjustment(NamedTuple):
 
 
 def _inlying(parts: Sequence[FloatArray], inliers: Sequence[BoolArray]) -> FloatArray:
+    """Rows of all sightings that are inliers, one after the other."""
     return np.concatenate([part[good] for part, good in zip(parts, inliers, strict=True)])
 
 
@@ -387,6 +392,7 @@ def _check_count(views: Sequence[BoardView], cameras: int) -> None:
 
 
 def _tilt_deg(poses: FloatArray) -> float:
+    """Angle between the farthest normals of the board at poses (m, 6)."""
     normals = rotation_of(poses[:, :3])[..., 2]
     return math.degrees(math.acos(float(np.clip((normals @ normals.T).min(), -1, 1))))
 
@@ -465,6 +471,7 @@ def _middle(rims: FloatArray) -> FloatArray:
 
 
 def _finished(problem: _Adjustment, x: FloatArray, inliers: Sequence[BoolArray]) -> CameraCalibration:
+    """The calibration with its errors, at adjusted parameters."""
     off, slopes, cameras = problem.misses(x), problem.slopes(x, inliers), problem.cameras(x)
     misses = _inlying(off, inliers).ravel()
     variance = float(misses @ misses) / max(len(misses) - len(x), 1)

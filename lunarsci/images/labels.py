@@ -247,6 +247,7 @@ def _first_number(content: str, names: tuple[str, ...]) -> float | None:
 
 
 def orthonormal(matrix: FloatArray) -> FloatArray:
+    """The orthogonal matrix nearest to one. (3, 3)"""
     left, _, right = np.linalg.svd(matrix)
     return np.asarray(left @ right)
 
@@ -389,6 +390,7 @@ def _principal(name: str, root: Element, axis: str) -> float:
 
 
 def _vector(name: str, root: Element, tag: str) -> FloatArray | None:
+    """x, y, z of an element of a label; None where it is not there or not whole. (3,)"""
     node = next(root.iter(tag), None)
     cells = [] if node is None else [node.findtext(axis) for axis in "xyz"]
     values = np.array([finite(name, tag, cell) for cell in cells if cell])

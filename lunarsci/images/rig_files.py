@@ -268,6 +268,7 @@ class _LensModel(CahvModel):
     fisheye: bool
 
     def project(self, points: FloatArray) -> FloatArray:
+        """Pixels (n, 2) of points (n, 3)."""
         cv2, matrix = open_cv(), np.stack([self.vectors[name] for name in "HVA"])
         lens = cv2.fisheye.projectPoints if self.fisheye else cv2.projectPoints
         return np.asarray(lens(points.reshape(-1, 1, 3), np.zeros(3), np.zeros(3), matrix, self.lens)[0])[:, 0]
@@ -683,6 +684,7 @@ def camera_text(camera: Camera, covariance: FloatArray, *, name: str, source: st
 
 
 def _covariance_lines(names: Sequence[str], covariance: FloatArray) -> list[str]:
+    """Of a TOML file, with the names of rows and columns as a remark."""
     rows = [f"  [{_numbers(row)}]," for row in covariance]
     return [f"# rows and columns: {', '.join(names)}", "covariance = [", *rows, "]"]
 

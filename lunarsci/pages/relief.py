@@ -197,6 +197,7 @@ def _packed(x: FloatArray, y: FloatArray, height: FloatArray, lines: Sequence[tu
 
 
 def _still(x: FloatArray, y: FloatArray, height: FloatArray, lines: Sequence[Line]) -> bytes:
+    """`GroundView.still`; nodes as of `_heights_at`."""
     with styled():
         return picture_bytes([still_figure(x, y, height, lines)], Path("still.png"))
 

@@ -260,6 +260,7 @@ def named_columns(file: str, table: "pd.DataFrame", names: Sequence[str], units:
 
 
 def _converted(what: ColumnMeaning, unit: str, values: FloatArray) -> FloatArray:
+    """Values (n,) in the unit of the column's name; a share of the load stays one, and +0.01 moves the zero."""
     if unit in (TRAVEL, RIM):
         return values if what.sigma else (by_travel(values) if unit == TRAVEL else by_rim(values))
     if unit == OVER_LOAD:
@@ -290,6 +291,7 @@ def by_rim(slip: FloatArray) -> FloatArray:
 
 
 def _cells(values: FloatArray) -> list[str]:
+    """Numbers as text with all digits, blank for NaN."""
     return ["" if np.isnan(value) else repr(float(value)) for value in values]
 
 

@@ -274,10 +274,12 @@ def compare_site(
 
 
 def _single(distances: FloatArray) -> float | None:
+    """The distance of one site (1,); None where it is not known."""
     return float(distances[0]) if np.isfinite(distances[0]) else None
 
 
 def _range(distances: FloatArray) -> tuple[float, float]:
+    """Ends of 68 % of the distances (d,) of drawn sites."""
     low, high = np.quantile(distances, SIXTY_EIGHT)
     return float(low), float(high)
 

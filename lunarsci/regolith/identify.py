@@ -262,6 +262,7 @@ class _Solved:
             self.parameters = self._parameters()
 
     def _parameters(self) -> dict[str, FloatArray]:
+        """Parameters that are solved for, by name; sets `adhesion`, c of each row [Pa], and `corners` on the way."""
         given, solved = self.given, {}
         if given.exponent is not None:
             solved["stiffness_kpa_m_n"] = inversion.stiffness(self.sigma_m, self.depth, given.exponent)
@@ -279,13 +280,16 @@ class _Solved:
         return solved
 
     def friction_angle(self, cohesion_pa: Any) -> FloatArray:
+        """phi of each row at a cohesion. (n,) [deg]"""
         return np.asarray(inversion.friction_angle(self.sigma_m, self.tau_x, self.mobilised, cohesion_pa))
 
     def external_friction_angle(self, modulus_mm: Any) -> FloatArray:
+        """phi_y of each row at a K_y. (n,) [deg]"""
         forces = (self.sigma_m, self.tau_y, self.displacement)
         return np.asarray(inversion.external_friction_angle(*forces, modulus_mm, self.adhesion))
 
     def record(self, name: str) -> dict[str, Any]:
+        """Estimates of one state and its draws, as `Identification.observations` has them."""
         stresses = {"sigma_m_pa": self.sigma_m, "tau_xm_pa": self.tau_x, "tau_ym_pa": self.tau_y}
         estimates = {key: estimate(sample, key) for key, sample in (stresses | self.parameters).items()}
         return {"id": name, "corners": _corners(self)} | estimates
@@ -338,6 +342,8 @@ def _corners(solved: _Solved) -> list[dict[str, Any]]:
 
 
 def _curves(solved: _Solved) -> dict[str, list[dict[str, Any]]]:
+    """Points of the curve of each aspect, as `Identification.curves` has them."""
+
     def stiffness(exponent: Any) -> FloatArray:
         return np.asarray(inversion.stiffness(solved.sigma_m, solved.depth, exponent))
 

@@ -147,6 +147,7 @@ def _name_of(answer: str) -> str:
 
 
 def _of_pull(slip: FloatArray, pull: FloatArray, load: float) -> Question | None:
+    """What to ask of pulls (n,) [N] at slips (n,) by their balance with a median load [N]; None for nothing."""
     most, share = float(np.nanmax(np.abs(pull), initial=0.0)), "a share of the load"
     if np.nanmax(np.abs(slip), initial=0.0) < PULLING:
         return None
@@ -162,6 +163,7 @@ def _of_pull(slip: FloatArray, pull: FloatArray, load: float) -> Question | None
 
 
 def _of_load(middle: float, law: Law, unitless: Collection[str]) -> Question | None:
+    """What to ask of a median load [N] by the law of those that wheels of that size carry; None for nothing."""
     named = "normal_force_n" not in unitless
     units = LOAD_UNITS | ({} if named else {"kgf": FORCES["kgf"], "lbf": FORCES["lbf"]})
     query = question("median normal_force_n", middle, law, units)
@@ -347,6 +349,7 @@ def _named(source: InputFile, wheel: Wheel, units: str) -> NamedColumns:
 
 
 def _numbers(file: str, table: "pd.DataFrame", name: str) -> FloatArray:
+    """A column as numbers, NaN where blank or missing. (n,) Raises DataError for text."""
     return numbers_of(file, name, table[name]) if name in table else np.full(len(table), np.nan)
 
 
@@ -385,6 +388,7 @@ def _check_scale(file: str, values: FloatArray, radius_m: float) -> None:
 
 
 def _sigmas(file: str, table: "pd.DataFrame", values: FloatArray, errors: MeasurementErrors) -> FloatArray:
+    """Standard errors of values (n, 6): those of the file, else those of `errors`. (n, 6) Raises DataError."""
     columns = []
     for k, name in enumerate(COLUMNS):
         given = _numbers(file, table, f"{name}_sigma")

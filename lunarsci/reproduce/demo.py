@@ -195,8 +195,6 @@ def _finding(what: str, value: float, sigma: float | None, truth: float | None, 
 class PredictedDrive:
     """The swept prediction, and one drive on a soil that is given.
 
-    Attributes
-    ----------
     scene : rover, terrain and plan.
     prediction : over the plan's sweep.
     verdict : on that.

@@ -376,9 +376,11 @@ class _Walkers:
         self._scale *= np.exp(accepted.mean() - ACCEPTED)
 
     def _possible(self, points: FloatArray) -> FloatArray:
+        """ln likelihood of points, minus infinite for impossible ones. (particles,)"""
         return np.nan_to_num(self._of(points), nan=-np.inf)
 
     def _ln_prior(self, points: FloatArray) -> FloatArray:
+        """ln of the prior at points, up to a constant. (particles,)"""
         return np.asarray(-0.5 * np.sum(((points - self._center) / self._width) ** 2, axis=1))
 
 
