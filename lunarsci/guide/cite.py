@@ -221,7 +221,7 @@ def _is_titled(work: Mapping[str, Any], cited: Reference) -> bool:
 
 
 def reference_of(text: str) -> Reference:
-    """What can be told from a source as results name it.
+    """What follows from a source as results name it.
 
     >>> found = reference_of("Clark & Roush (1984), J. Geophys. Res. 89, 6329, 10.1029/JB089iB07p06329")
     >>> found.key, found.journal, found.volume, found.page, found.doi

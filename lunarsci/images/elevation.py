@@ -52,12 +52,15 @@ class ElevationModel:
     x0_m, y0_m, spacing_m : position of node [0, 0] and distance of the nodes. [m]
     height_m : NaN where unknown; row is y, column is x. (ny, nx) [m]
     height_m_sigma : random error of a node, one standard deviation; None where the file says nothing. (ny, nx) [m]
-    height_m_common_sigma : error that nodes share. (ny, nx) [m]
-    count : matched pixels by node. (ny, nx)
+    height_m_common_sigma : error that nodes share, one standard deviation; None where it is not known. (ny, nx) [m]
+    count : matched pixels by node, or models of a merged one. (ny, nx)
     height_by_disparity_m_px : by how much a height changes with the disparity. (ny, nx) [m/px]
-    resolution_m : width over which matching averages heights, and over which random errors hang together; 0 for nodes
+    resolution_m : width over which matching averages heights, and over which random errors are correlated; 0 for nodes
         that are independent points. (ny, nx) [m]
     synthetic : True for a made-up one.
+
+    A layer beside the heights may also be one number for all nodes, of shape (). Raises ParameterError for other shapes
+    and negative errors.
     """
 
     name: str

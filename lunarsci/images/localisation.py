@@ -32,7 +32,7 @@ TEMPLATE_PX, WIDE_PX = (41, 17), (81, 25)
 pose is not known better than by dead reckoning; assumed. [px]"""
 OVERLAPPING = 4.0
 """How many templates see each pixel, half of one apart each way (as `TEMPLATE_PX`): by this the variance of one is
-larger, since their errors hang together."""
+larger, since their errors are correlated."""
 LEAST_CORRELATION, LOOSE_CORRELATION = 0.6, 0.45
 """Templates that agree less are no ties; the same where many are searched for one motion, which chance does not share,
 or where there are few; assumed."""

@@ -65,7 +65,7 @@ ISLAND_OFF, ABOUT_PX = 0.5, 33
 """How far an island may be off the ground about it, as a share of its disparity, and the width of the window in which
 this ground is looked for [px]; measured: of shares from 0.1 on this one costs a real pair the fewest pixels."""
 CORRELATED = 2.4
-"""Random errors over those of the normal matrix, since what is left of the light hangs together: fitted to four
+"""Random errors over those of the normal matrix, since what is left of the light is correlated: fitted to four
 rendered pairs (`tests/benchmarks/scenes.py`: NavCam 2 and 4, PanCam 1 and 10), and tried on others."""
 RELIEF = 0.9
 """Share of the relief within a window, beyond its plane, that the middle is off by: as `CORRELATED`."""

@@ -33,7 +33,7 @@ LEAST = 3.5
 GROUND_SHARE = 2.5
 """Scale of the ground that rocks stand out of, in diameters of the largest rock; assumed."""
 ERROR_CLASSES = 8
-"""Classes of errors from which relief and errors are told apart; assumed."""
+"""Classes of errors by which relief and errors are separated; assumed."""
 TRIALS = 60
 """Rocks of a size put in at a time: their share is known to 0.5 / sqrt(60) = 0.06 or better."""
 

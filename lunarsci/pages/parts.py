@@ -205,7 +205,7 @@ AGREEMENT = "whether states solved so agree: a test of what is assumed here, not
 MOST_ASSUMED = 6
 """Values of a rover that are listed one by one."""
 MOST_CHOICES = 6
-"""Spectra of which what is open is told one by one."""
+"""Spectra of which what is open is stated one by one."""
 MOST_ROWS, MOST_LINES, MOST_COLUMNS, MOST_NAMED = 48, 40, 12, 5
 """Of a table, of a list, across, and of names in a line, on the page; the files hold all."""
 
@@ -496,7 +496,7 @@ def _line(names: Sequence[str], text: str) -> str:
 
 
 def _notes_in(value: Any, name: str = "", one_of_many: bool = False) -> Iterator[tuple[str, str]]:
-    """Texts of a result, and of a caveat or a reason what it is of; what is refused is told with its value."""
+    """Texts of a result, and of a caveat or a reason what it is of; what is refused is stated with its value."""
     if isinstance(value, list):
         for item in value[:MOST_ROWS]:
             yield from _notes_in(item, name, len(value) > 1)

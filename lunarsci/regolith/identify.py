@@ -388,7 +388,7 @@ class StatesAgreement:
     reduced_chi_square : of these values about their weighted mean, each with its own error.
     probability : of a larger one by chance.
     first, last : values at the least and the largest slip.
-    trend : `falls` or `rises` with slip, '' for neither or where it cannot be told.
+    trend : `falls` or `rises` with slip, '' for neither or where slips do not differ.
     """
 
     parameter: str
