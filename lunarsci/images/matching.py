@@ -322,7 +322,7 @@ class StereoMatches:
     ----------
     rectified : the frame they are in.
     left : light of the left picture in it, in the numbers of its file. (h, w)
-    disparity, sigma_px : NaN where there is none; sigma is random. (h, w) [px]
+    disparity, sigma_px : u in the left picture less u in the right one, and its random error; NaN for none. (h, w) [px]
     reason : place in `REASONS` of why there is none. (h, w)
     first : what semi-global matching found. (h, w) [px]
     row_offset_px : how far the rows of the two pictures were apart at the middle, before they were moved. [px]

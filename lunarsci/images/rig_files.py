@@ -61,7 +61,7 @@ _SIDE = re.compile(r"^Camera([12])\.(\w+)$")
 
 
 METRES: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-"""Metres of a unit, by definition."""
+"""Metres of a unit."""
 USUAL_BASELINE_M = 0.2
 """Of stereo rigs on rovers: 0.1 m (hazard cameras) to 0.42 m (Maki et al. 2003, 10.1029/2003JE002077). [m]"""
 BROWN = ("k1", "k2", "p1", "p2", "k3")
@@ -244,7 +244,11 @@ class WrittenCamera:
 
 
 class _Way(NamedTuple):
-    """From one camera's frame to another one's: a rotation (3, 3), a translation (3,), and its unit if one is sure."""
+    """From one camera's frame to another one's.
+
+    rotation, translation : X_other = rotation X_one + translation. (3, 3), (3,) [unit]
+    unit : of the translation, None where the file does not say.
+    """
 
     rotation: FloatArray
     translation: FloatArray

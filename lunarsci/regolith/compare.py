@@ -73,7 +73,8 @@ class ReferenceSoil:
 class Site:
     """What is known of the ground to compare: bearing pair, shear pair, or both; None for what is not.
 
-    The lateral pair is for the picture: too few soils are known to compare with.
+    The lateral pair is for the picture: too few soils are known to compare with. Parameters are those of `Soil`, with
+    their units; stiffness and exponent are those of a wheel without slip.
 
     Raises ParameterError for half a pair, and values out of range.
     """

@@ -70,6 +70,7 @@ class ComparedSoils(Result):
     curves : of single states by aspect, for the picture; None where the site was given by numbers.
     undetermined : by aspect, parameters that the result hardly tells, with the share of the prior's width left. [-]
     remarks : what that means for the order of soils.
+    origin : files, tables and sources that it was made from.
     """
 
     schema: ClassVar[str] = "regolith-compare/1"

@@ -149,6 +149,7 @@ class IdentifiedSoil(Result):
     called : its name in its file.
     named_by : `option`, `table` (the column `rover` of the states), or `default` where nothing names it.
     read_as, questions : how columns of the table were read, and what to ask of them.
+    origin : files, tables and sources that it was made from.
     """
 
     schema: ClassVar[str] = "regolith-identify/1"
