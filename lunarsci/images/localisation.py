@@ -87,8 +87,8 @@ class TiePoints(NamedTuple):
     """Points that two stations see.
 
     near_px, far_px : (u, v) in the left pictures. (n, 2) [px]
-    near_disparity, far_disparity : u of the right picture less that of the left one, as taken, so below 0 as a rule; the
-        reverse of `StereoMatches.disparity`; NaN where unknown. (n,) [px]
+    near_disparity, far_disparity : u of the right picture less that of the left one, both as taken: of the other sign
+        than `StereoMatches.disparity`; NaN where unknown. (n,) [px]
     near_sigma, far_sigma : their random errors. (n,) [px]
     covariance : of `far_px`, as the templates say. (n, 2, 2) [px^2]
     correlation : of the templates. (n,) [-]
