@@ -16,6 +16,7 @@ VECTORS = {"reassoc", "contract", "nsz", "arcp"}
 LANE_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz"}}
 """Options of `in_lanes`."""
 _MAKING = RLock()
+"""Held while dispatchers are made: threads may call a function for the first time together."""
 
 
 class Compiled:
@@ -23,6 +24,11 @@ class Compiled:
 
     The compiled functions that it names are parts of its machine code: numba finds their types once, and code is
     optimised once, for the function that Python calls.
+
+    Parameters
+    ----------
+    function : plain Python that numba can compile.
+    options : of `numba.njit`.
     """
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
@@ -42,7 +48,7 @@ class Compiled:
         return self.dispatcher().__reduce__()
 
     def dispatcher(self, part: bool = False) -> Any:
-        """What numba compiles and calls, or what it makes a part of other functions."""
+        """What numba compiles and calls, or, as a `part`, what it makes a part of other functions; made once each."""
         from lunarsci.compiled.machine_code import dispatcher
 
         with _MAKING:
@@ -57,7 +63,7 @@ class Compiled:
 
 
 def _with_places(function: Callable[..., Any]) -> tuple[Callable[..., Any], Callable[[], None]]:
-    """A copy of a function, and what puts dispatchers in place of the compiled functions that it names.
+    """A copy of a function with its own namespace, and what puts dispatchers in place of the compiled functions in it.
 
     Numba compiles calls of its own dispatchers alone; one that calls itself has to be there before.
     """

@@ -23,12 +23,18 @@ FUSED = ("contract",)
 """a * b + c may be one instruction; nothing else is changed, so that a lane gives what the formula says."""
 
 DOUBLE, INTEGER = ir.DoubleType(), ir.IntType(64)
+"""LLVM's types of a plain double and of a plain whole number."""
 DOUBLES = ir.VectorType(DOUBLE, LANES)
+"""LLVM's type of eight doubles side by side."""
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 class Traced:
-    """A value that code being made will have: of an LLVM type, from the instruction `value`."""
+    """A value that code being made will have.
+
+    builder : writes instructions at the place where code is being made.
+    value : the instruction, or the constant, that gives it; its type is LLVM's.
+    """
 
     __slots__ = ("builder", "value")
     __array_ufunc__ = None
@@ -40,7 +46,7 @@ class Traced:
         raise TypeError("a formula cannot branch on a number; take `choose`, `lowest` or `highest`")
 
     def called(self, name: str, *others: "Traced") -> "Traced":
-        """What an intrinsic function of LLVM makes of this and others."""
+        """What an intrinsic function of LLVM, such as `sqrt`, makes of this and others of the same type."""
         kind, short = self.value.type, "f64" if self.value.type == DOUBLE else f"v{LANES}f64"
         signature = ir.FunctionType(kind, [kind] * (1 + len(others)))
         full = f"llvm.{name}.{short}"
@@ -166,6 +172,7 @@ class TracedNumber(TracedReal):
         return one if self.value.type == DOUBLE else ir.Constant(ir.VectorType(INTEGER, LANES), [number] * LANES)
 
     def from_bits(self, bits: ir.Value) -> "TracedNumber":
+        """The number, or the eight, whose `bits` these are."""
         return TracedNumber(self.builder, self.builder.bitcast(bits, self.value.type))
 
 
@@ -189,7 +196,11 @@ def alike(*values: Traced) -> list[ir.Value]:
 
 
 class TracedTable(Traced):
-    """An array; its numbers are read by whole indices."""
+    """An array of doubles; its numbers are read by whole indices.
+
+    context, kind : numba's target context, and its type of the array.
+    value : numba's structure of the array.
+    """
 
     __slots__ = ("context", "kind")
 
@@ -199,18 +210,18 @@ class TracedTable(Traced):
 
     @property
     def array(self) -> Any:
-        """What numba knows of it."""
+        """Numba's view of it: data, shape, strides."""
         return self.context.make_array(self.kind)(self.context, self.builder, self.value)
 
     def at(self, *index: "TracedWhole | int") -> ir.Value:
-        """Where an entry lies."""
+        """Pointer to an entry, by as many indices as the array has dimensions."""
         places = [i.value if isinstance(i, TracedWhole) else INTEGER(i) for i in index]
         from numba.core.cgutils import get_item_pointer
 
         return get_item_pointer(self.context, self.builder, self.kind, self.array, places)
 
     def row(self, number: "TracedWhole | int") -> ir.Value:
-        """Where a row of eight columns lies."""
+        """Pointer to a row of a contiguous array of eight columns."""
         place = number.value if isinstance(number, TracedWhole) else INTEGER(number)
         return self.builder.gep(self.builder.bitcast(self.array.data, DOUBLES.as_pointer()), [place])
 
@@ -223,7 +234,7 @@ class TracedTable(Traced):
         )
 
     def lanes(self, *index: "TracedWhole | int") -> ir.Value:
-        """Where eight neighbouring numbers lie, from an entry on."""
+        """Pointer to eight neighbouring numbers, from an entry on."""
         return self.builder.bitcast(self.at(*index), DOUBLES.as_pointer())
 
 

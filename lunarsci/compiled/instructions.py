@@ -40,20 +40,24 @@ class Lanes(types.Type):
 
 
 EIGHT = Lanes()
+"""The one instance."""
 
 
 @register_model(Lanes)
 class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
+    """How numba stores `Lanes`: as the vector of LLVM that it is."""
+
     def __init__(self, manager: Any, kind: Any) -> None:
         super().__init__(manager, kind, DOUBLES)
 
 
 def _plain_tuple(*entries: Any) -> tuple[Any, ...]:
+    """As a NamedTuple is made of its entries."""
     return entries
 
 
 def _traced(context: Any, builder: ir.IRBuilder, kind: Any, value: ir.Value) -> Any:
-    """The stand-in of an argument."""
+    """The stand-in of an argument: `kind` is numba's type, `value` LLVM's value; a literal stands for itself."""
     if isinstance(kind, types.Literal):
         return kind.literal_value
     if isinstance(kind, types.BaseTuple):  # type: ignore[attr-defined]
@@ -107,7 +111,15 @@ def _offer(
     allowed: Callable[[Sequence[Any]], bool],
     forms: Sequence[Sequence[Any]] = ((types.VarArg(types.Any),),),  # type: ignore[attr-defined]
 ) -> None:
-    """Let compiled code that calls `symbol` have the instructions of `function`."""
+    """Let compiled code that calls `symbol` have the instructions of `function`.
+
+    Parameters
+    ----------
+    symbol : the function or operator that compiled code names.
+    function : formula that is run with stand-ins.
+    allowed : whether it takes arguments of these types of numba's.
+    forms : types of arguments that numba looks its code up by.
+    """
     signatures: dict[Any, Any] = {}
 
     class Written(AbstractTemplate):  # type: ignore[misc]
@@ -141,10 +153,12 @@ def offer_all() -> None:
 
 
 def _takes(count: int, arguments: Sequence[Any]) -> bool:
+    """Whether there are as many arguments."""
     return len(arguments) == count
 
 
 def _eight_or_plain(kinds: Sequence[Any]) -> bool:
+    """Whether operands are eight doubles, or one is and the other is a plain float: numba has operators of others."""
     return EIGHT in kinds and all(kind == EIGHT or isinstance(kind, types.Float) for kind in kinds)
 
 

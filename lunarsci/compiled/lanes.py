@@ -35,6 +35,7 @@ from lunarsci.compiled.formulas import (
 LINE = 64
 """Bytes of a cache line: a row of eight that lies across two of them costs two reads."""
 MANTISSA_BITS, BIAS = 52, 1023
+"""Of a double (IEEE 754): bits of the mantissa, and by how much its exponent is stored too large."""
 ROUNDING = 1.5 * 2.0**MANTISSA_BITS
 """Added to an integer below 2^51, leaves that integer in the lowest bits of the sum."""
 
@@ -173,7 +174,11 @@ class Fields:
 
 
 class NamedRows:
-    """Numbers by name, those of several rows as a tuple; see `Fields`."""
+    """Numbers by name, those of several rows as a tuple; see `Fields`.
+
+    A name that is read or written is eight numbers: an array (8,) in Python, a stand-in while code is made. What was
+    read is not read again; what is written is written at once.
+    """
 
     def __init__(self, fields: Fields, table: Any, index: Any) -> None:
         self.__dict__.update(_fields=fields, _seen={})
@@ -194,6 +199,8 @@ class NamedRows:
 
 
 class _TracedRow(NamedRows):
+    """Of a table in code that is being made."""
+
     def _begin(self, table: Any, index: Any) -> None:
         self.__dict__.update(_builder=table.builder, _first=table.lanes(*index))
 
@@ -211,6 +218,8 @@ class _TracedRow(NamedRows):
 
 
 class _ArrayRow(NamedRows):
+    """Of an array in Python."""
+
     def _begin(self, table: Any, index: Any) -> None:
         rows = table[index[:-1]].reshape(self._fields.rows, self._fields.width)
         self.__dict__.update(_rows=rows[:, index[-1] : index[-1] + LANES])
@@ -226,15 +235,19 @@ class _ArrayRow(NamedRows):
 LN_2_HIGH, LN_2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
 """ln 2 in two parts, the first with trailing zeros, so that whole multiples of it are exact."""
 PER_LN_2 = 1 / math.log(2)
+"""Turns a natural logarithm into one of base 2."""
 LARGEST = 700.0
 """Beyond this an exponential is 0 or infinite."""
 ROOT_2 = math.sqrt(2)
+"""Mantissa above which a logarithm is taken of its half."""
 LOGARITHM_ORDER = 21
 """Power to which its series goes; the next one is below the last digit."""
 _HALF_LN_2 = math.log(2) / 2
+"""Largest argument of the series of an exponential, beside a power of 2."""
 
 
 def _rest_of_exponential(y: Any) -> Any:
+    """(exp(y) - 1 - y - y^2/2) / y^3 by its power series."""
     return sum(y**n / math.factorial(n + 3) for n in range(20))
 
 

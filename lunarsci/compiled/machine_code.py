@@ -38,26 +38,32 @@ from lunarsci.compiled.instructions import offer_all
 from lunarsci.errors import LunarSciWarning
 
 PACKAGE = Path(__file__).parents[1]
+"""Folder of lunarsci, whose files are followed."""
 IMPORTS = re.compile(r"^\s*from\s+(lunarsci[\w.]*)\s+import\s+(\([^)]*\)|[^#\n]*)|^\s*import\s+(lunarsci[\w.]*)", re.M)
+"""An import statement of this package: of names from a module, or of a module."""
 DIGEST_BYTES = 32
+"""Of SHA-256, in front of a cached entry."""
 BEGAN = time.time()
 """About when this process began to read its sources: what is newer need not be what it compiles. [s]"""
 ROOT = 0
-"""The user who may write everywhere."""
+"""Number of the user who may write everywhere."""
 
 
 class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
     """Code that runs as a part of its callers alone: neither optimised nor translated by itself."""
 
     def finalize(self) -> None:
+        """End it as it is."""
         self._raise_if_finalized()
         self._finalized = True
 
     def get_pointer_to_function(self, name: str) -> int:
+        """Nowhere: nothing calls it from Python."""
         return 0
 
     @property
     def codegen(self) -> Any:
+        """Itself, on which numba calls `set_env`."""
         return self
 
     def set_env(self, env_name: str, env: Any) -> None:
@@ -65,6 +71,8 @@ class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
 
 
 class _PartCompiler(Compiler):  # type: ignore[misc]
+    """Numba's compiler, whose code goes into a `_PartLibrary` where no library is given."""
+
     def __init__(self, typing: Any, target: Any, library: Any, *others: Any) -> None:
         super().__init__(typing, target, library or _PartLibrary(target.codegen(), "part"), *others)
 
@@ -125,6 +133,7 @@ def why_unsafe(folder: Path, shared: bool = False) -> str:
 
 
 def _is_private_group(number: int) -> bool:
+    """Whether a group bears the user's name and has no other member."""
     import grp
     import pwd
 
@@ -136,6 +145,7 @@ def _is_private_group(number: int) -> bool:
 
 @cache
 def _tell(remark: str) -> None:
+    """Warn of it, once in a process."""
     warnings.warn(remark, LunarSciWarning, stacklevel=2)
 
 
@@ -272,6 +282,7 @@ def sources(source: str) -> tuple[Path, ...]:
 
 @cache
 def _content(path: Path) -> bytes:
+    """Of a file, empty where there is none."""
     return path.read_bytes() if path.is_file() else b""
 
 
@@ -287,5 +298,6 @@ def _imported(path: Path) -> frozenset[Path]:
 
 
 def _files_of(parts: list[str]) -> tuple[Path, Path]:
+    """Files that the parts of a name after `lunarsci` may stand for: a module, and a package."""
     place = PACKAGE.joinpath(*parts)
     return place.with_name(f"{place.name}.py"), place / "__init__.py"

@@ -37,9 +37,14 @@ NOT_FIELDS = ("type", "tables", "recalled")
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """One source: the text that the result has, and what could be told from it; '' where it could not.
+    """One source.
 
-    `work` is its entry in `references.toml`, empty where it is not there; `entry` its name there.
+    Attributes
+    ----------
+    text : as the result has it.
+    authors, year, journal, volume, page, doi : what follows from the text, '' for what does not.
+    entry : its name in `references.toml`, '' where it is not there.
+    work : its entry there, empty where it is not there.
     """
 
     text: str
@@ -216,7 +221,7 @@ def _is_titled(work: Mapping[str, Any], cited: Reference) -> bool:
 
 
 def reference_of(text: str) -> Reference:
-    """What can be told from a source as results name it.
+    """What follows from a source as results name it.
 
     >>> found = reference_of("Clark & Roush (1984), J. Geophys. Res. 89, 6329, 10.1029/JB089iB07p06329")
     >>> found.key, found.journal, found.volume, found.page, found.doi

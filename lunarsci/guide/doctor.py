@@ -33,7 +33,15 @@ DRIVE_M, END_WITHIN_M = 0.6, 0.1
 
 @dataclass(frozen=True, slots=True)
 class HealthCheck:
-    """One thing that was looked at: what was found, and why it is off; '' if it is not."""
+    """One thing that was looked at.
+
+    Attributes
+    ----------
+    part : of lunarsci or of what it needs.
+    name : what was looked at.
+    observed : what it is like, in words.
+    trouble : why that is wrong, '' where it is not.
+    """
 
     part: str
     name: str
@@ -43,7 +51,12 @@ class HealthCheck:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HealthReport(Result):
-    """What was looked at."""
+    """All that was looked at.
+
+    Attributes
+    ----------
+    checks : in the order they were made.
+    """
 
     schema: ClassVar[str] = "doctor/1"
     checks: Sequence[HealthCheck]

@@ -135,7 +135,14 @@ def without_markers(heights: FloatArray) -> tuple[FloatArray, str]:
 
 
 class FarEnd(NamedTuple):
-    """The lowest or highest number of a row, how often it is there, and how many others are."""
+    """The lowest or highest number of a row.
+
+    Attributes
+    ----------
+    value : the number, in the unit of the row.
+    repeats : how often it is there.
+    others : how many other numbers there are, NaN left out.
+    """
 
     value: float
     repeats: int

@@ -132,6 +132,7 @@ def _without_fill(grid: HeightGrid) -> HeightGrid:
 
 
 def _check_heights(height_m: FloatArray) -> None:
+    """Raise DataError where a height is farther from the median than any on a body that rovers are on."""
     heights = height_m[np.isfinite(height_m)]
     off = np.abs(heights - np.median(heights)) if heights.size else heights
     if off.size and off.max() > HIGHEST_M:

@@ -17,6 +17,7 @@ NO_RASTERIO = "GeoTIFF and coordinate systems need rasterio; pip install 'lunars
 LARGEST_STRETCH = 0.02
 """A map metre may differ by this share from one on the ground; assumed: less than slip does."""
 STEP_M = 10.0
+"""Step to either side of a place over which the stretch of a map is taken. [m]"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +28,8 @@ class MapProjection:
     ----------
     wkt : the system as well-known text (OGC 01-009).
 
-    Raises ParameterError for text that is none, and for a system in degrees or in another unit than m.
+    Raises ParameterError for text that is none, and for a system in degrees or in another unit than m. `_system` is
+    rasterio's object of it, `_degrees` that of the longitudes and latitudes it belongs to.
     """
 
     wkt: str

@@ -38,7 +38,9 @@ KINDS = {
     **{"JP2OpenJPEG": "JPEG 2000", "EHdr": "raw grid with its .hdr", "HFA": "image of Erdas Imagine"},
     **dict.fromkeys(("GSAG", "GSBG", "GS7BG"), "grid of Surfer"),
 }
+"""What GDAL's readers read, in words."""
 HEIGHT = "height_m"
+"""Name of the heights among the `bands` of a `HeightRaster`."""
 _AT_ONCE = 500_000
 """Nodes that are looked up at a time."""
 
@@ -114,6 +116,7 @@ class HeightRaster:
         return self.crs, "" if self.square else "its cells are not square, or turned"
 
     def _local_stretch(self, local: MapProjection, places: FloatArray) -> float:
+        """Largest stretch of the local projection at places (2, n) of the raster, infinite where it has none. [-]"""
         try:
             return local.worst_stretch(*moved(self.crs, local.wkt, *places).T)
         except ParameterError:  # one of the places is that opposite to its middle

@@ -24,9 +24,11 @@ from lunarsci.names import one_of
 from lunarsci.ranges import refuse
 
 HEADER = ("ncols", "nrows", "cellsize", "dx", "dy", "nodata_value", "xllcorner", "yllcorner", "xllcenter", "yllcenter")
+"""Keys of the header of an ESRI ASCII grid, in lower case."""
 TEXTS = (".asc", ".csv", ".xyz", ".txt", ".dat", ".grd", ".agr")
 """Ends of names of text."""
 NODE = ("x_m", "y_m", "height_m")
+"""Columns of a table of nodes."""
 AXES = {
     **dict.fromkeys(("x", "east", "easting", "eastings", "xcoord", "xcoordinate", "lon", "longitude"), "x_m"),
     **dict.fromkeys(("y", "north", "northing", "northings", "ycoord", "ycoordinate", "lat", "latitude"), "y_m"),
@@ -41,6 +43,7 @@ BESIDE = {
 }
 """Columns beside nodes that leave a table one of them: numbers of points, colours and normals of point clouds."""
 REMARKS = ("#", "//", "%", "!")
+"""Beginnings of lines that are no data."""
 ROUNDED = 0.04
 """By how much steps may differ where places are rounded, as a share of one; assumed."""
 
@@ -153,6 +156,7 @@ def read_table(path: Path, layers: tuple[str, ...], unread: tuple[str, ...], **h
 
 
 def _node_table(path: Path) -> tuple[list[str], FloatArray] | None:
+    """Names and numbers of a file's columns x, y and height, as `node_columns` gives them; None for other files."""
     content = text(read_input(path))
     return node_columns(InputFile(str(path), content.encode()), content)
 

@@ -35,6 +35,7 @@ FEWEST_VIEWS = 4
 FEWEST_TILT_DEG = 10.0
 """Angle between the farthest normals of the board below which focal length and distance are the same; assumed."""
 ROUNDS = 3
+"""Adjustments, each of which leaves out the outliers of the one before."""
 RIM = 24
 """Places on the rim of a circle from which the middle of its picture is computed: their polygon misses the ellipse
 alike on all sides."""
@@ -93,7 +94,13 @@ class BoardTarget:
 
 
 class Sighting(NamedTuple):
-    """Points of a target in a picture: their places in `BoardTarget.points_m` (n,), and where they are (n, 2) [px]."""
+    """Points of a target in a picture.
+
+    Attributes
+    ----------
+    numbers : their places in `BoardTarget.points_m`. (n,)
+    pixels : u and v. (n, 2) [px]
+    """
 
     numbers: npt.NDArray[np.int64]
     pixels: FloatArray
@@ -141,6 +148,7 @@ def _chessboard(eight: npt.NDArray[np.uint8], size: tuple[int, int], patient: bo
 
 
 def _circles(eight: npt.NDArray[np.uint8], size: tuple[int, int], kind: Kind) -> FloatArray | None:
+    """Middles of the circles of a board of `size` (columns, rows), row by row; None for none. (n, 2) [px]"""
     cv2 = open_cv()
     wanted = cv2.SimpleBlobDetector_Params()
     wanted.minArea, wanted.maxArea, wanted.minThreshold, wanted.thresholdStep = 12.0, 0.05 * eight.size, 20.0, 5.0
@@ -219,7 +227,17 @@ class CameraCalibration:
 
 
 class _Placed(NamedTuple):
-    """A sighting with its camera and the board's pose before it, by that of the left camera and the relative one."""
+    """A sighting with its camera and the board's pose before it.
+
+    Attributes
+    ----------
+    moment : number of the moment in the views, from 0.
+    side : number of the camera, 0 the left or only one, 1 the right one.
+    sighting, camera : what that camera sees, and the camera with the intrinsics of this step.
+    turn, way : rotation vector and translation of the board in this camera's frame. (3,) [rad], (3,) [m]
+    by_poses : derivatives of both by the board's pose before the left camera, then by the pose of the right camera
+        beside it, rotation first each. (6, 12)
+    """
 
     moment: int
     side: int
@@ -231,9 +249,17 @@ class _Placed(NamedTuple):
 
 
 class _Adjustment(NamedTuple):
-    """What is adjusted: free intrinsics of each camera, points of the board, and what each camera sees of them.
+    """The adjustment of one camera or two.
 
-    Parameters are those intrinsics, of two cameras rotation vector and translation between them, and the board's poses.
+    Parameters `x` are the free intrinsics of each camera, of two the rotation vector [rad] and translation [m] between
+    them, and for each moment rotation vector and translation of the board before the left camera.
+
+    Attributes
+    ----------
+    plain : the cameras with which it began, left one first.
+    free : places in `INTRINSICS` of those that are adjusted.
+    points : of the board. (n, 3) [m]
+    views : by moment, what each camera sees of them.
     """
 
     plain: tuple[Camera, ...]
@@ -252,6 +278,7 @@ class _Adjustment(NamedTuple):
         return self.lenses + (6 if len(self.plain) > 1 else 0)
 
     def cameras(self, x: FloatArray) -> list[Camera]:
+        """The cameras with the intrinsics of `x`."""
         vectors = np.array([camera.vector() for camera in self.plain])
         vectors[:, self.free] = x[: self.lenses].reshape(len(self.plain), -1)
         return [camera.with_vector(vector) for camera, vector in zip(self.plain, vectors, strict=True)]
@@ -261,9 +288,11 @@ class _Adjustment(NamedTuple):
         return x[self.lenses : self.shared] if len(self.plain) > 1 else np.zeros(6)
 
     def poses(self, x: FloatArray) -> FloatArray:
+        """Rotation vector and translation of the board before the left camera, by moment. (moments, 6) [rad, m]"""
         return x[self.shared :].reshape(-1, 6)
 
     def placed(self, x: FloatArray) -> Iterator[_Placed]:
+        """Every sighting, moment by moment, the left camera's first."""
         cameras, relative = self.cameras(x), self.relative(x)
         for k, (view, pose) in enumerate(zip(self.views, self.poses(x), strict=True)):
             for index, sighting in enumerate(view):
@@ -276,7 +305,7 @@ class _Adjustment(NamedTuple):
                 yield _Placed(k, index, sighting, cameras[index], turn, way, by)
 
     def misses(self, x: FloatArray) -> list[FloatArray]:
-        """What is left of each sighting. (n, 2) [px]"""
+        """Computed less seen places of the points of each sighting. (n, 2) each [px]"""
         return [
             one.camera.project_with_derivatives(self.points[one.sighting.numbers], one.turn, one.way).pixels
             - one.sighting.pixels
@@ -314,6 +343,7 @@ class _Adjustment(NamedTuple):
 
 
 def _inlying(parts: Sequence[FloatArray], inliers: Sequence[BoolArray]) -> FloatArray:
+    """Rows of all sightings that are inliers, one after the other."""
     return np.concatenate([part[good] for part, good in zip(parts, inliers, strict=True)])
 
 
@@ -362,6 +392,7 @@ def _check_count(views: Sequence[BoardView], cameras: int) -> None:
 
 
 def _tilt_deg(poses: FloatArray) -> float:
+    """Angle between the farthest normals of the board at poses (m, 6)."""
     normals = rotation_of(poses[:, :3])[..., 2]
     return math.degrees(math.acos(float(np.clip((normals @ normals.T).min(), -1, 1))))
 
@@ -440,6 +471,7 @@ def _middle(rims: FloatArray) -> FloatArray:
 
 
 def _finished(problem: _Adjustment, x: FloatArray, inliers: Sequence[BoolArray]) -> CameraCalibration:
+    """The calibration with its errors, at adjusted parameters."""
     off, slopes, cameras = problem.misses(x), problem.slopes(x, inliers), problem.cameras(x)
     misses = _inlying(off, inliers).ravel()
     variance = float(misses @ misses) / max(len(misses) - len(x), 1)

@@ -23,10 +23,11 @@ from lunarsci.ranges import refuse
 INTRINSICS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "p1", "p2")
 """What a camera's picture depends on, in the order of `Camera.vector`."""
 NEWTON_STEPS = 30
+"""At most, from a pixel to its direction."""
 CONVERGED = 1e-12
-
-
+"""Step of a direction's x and y over z that ends Newton's method. [-]"""
 RELATIVE = (*(f"rotation_{axis}_rad" for axis in "xyz"), *(f"translation_{axis}_m" for axis in "xyz"))
+"""How the right camera stands to the left one: a small rotation after that of the rig, and the translation."""
 PARAMETERS = (*(f"left_{n}" for n in INTRINSICS), *(f"right_{n}" for n in INTRINSICS), *RELATIVE)
 """What a rig depends on: rows and columns of its covariance."""
 MAST_M = 1.5
@@ -37,7 +38,14 @@ PIXEL_MTF = 2 / math.pi
 
 
 class Projection(NamedTuple):
-    """Pixels (n, 2) with their derivatives by the points' pose (n, 2, 6), rotation first, and intrinsics (n, 2, 9)."""
+    """Pixels of n points, with their derivatives.
+
+    Attributes
+    ----------
+    pixels : u and v. (n, 2) [px]
+    by_pose : by the rotation vector [rad] and the translation [m] that are applied to the points. (n, 2, 6)
+    by_intrinsics : in the order of `INTRINSICS`. (n, 2, 9)
+    """
 
     pixels: FloatArray
     by_pose: FloatArray
@@ -132,7 +140,7 @@ class Camera:
         return np.array([self.k1, self.k2, self.p1, self.p2, self.k3])
 
     def field_of_view_deg(self) -> tuple[float, float]:
-        """Full angles across the middle row and the middle column. [deg]"""
+        """Full angles across the middle row and the middle column, from edge to edge of the outer pixels. [deg]"""
         middle_u, middle_v = 0.5 * (self.width_px - 1), 0.5 * (self.height_px - 1)
         ends = [[-0.5, middle_v], [self.width_px - 0.5, middle_v], [middle_u, -0.5], [middle_u, self.height_px - 0.5]]
         rays = self.rays(ends)
@@ -157,7 +165,11 @@ class Camera:
     def project_with_derivatives(
         self, points: FloatArray, turn: npt.ArrayLike = (0.0,) * 3, way_m: npt.ArrayLike = (0.0,) * 3
     ) -> Projection:
-        """`project`, by OpenCV, of points (n, 3) after a rotation, by its vector [rad], and a translation."""
+        """`project`, by OpenCV, of points (n, 3) [m] after a rotation and a translation.
+
+        turn : rotation vector. (3,) [rad]
+        way_m : translation, after the rotation. (3,) [m]
+        """
         rotated = np.asarray(turn, dtype=float), np.asarray(way_m, dtype=float)
         pixels, slopes = open_cv().projectPoints(points, *rotated, self.matrix, self.distortion)
         slopes = np.asarray(slopes).reshape(-1, 2, 15)
@@ -174,13 +186,14 @@ class Camera:
         return np.stack([x, y, np.ones_like(x)], axis=-1)
 
     def sees(self, pixels: npt.ArrayLike, margin_px: float = 0.0) -> npt.NDArray[np.bool_]:
-        """Whether pixels lie in the picture, `margin_px` from its border at least."""
+        """Whether pixels (..., 2) lie in the picture, `margin_px` from its border at least. (...)"""
         given = np.asarray(pixels, dtype=float)
         u, v = given[..., 0] - margin_px, given[..., 1] - margin_px
         right, low = self.width_px - 1 - 2 * margin_px, self.height_px - 1 - 2 * margin_px
         return (u >= -0.5) & (v >= -0.5) & (u <= right + 0.5) & (v <= low + 0.5)
 
     def _distorted(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """x' and y' of `Camera` from x and y, directions over their z. [-]"""
         r2 = x * x + y * y
         radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
         across = 2 * x * y
@@ -200,6 +213,7 @@ class Camera:
         return np.stack([np.stack([dxx, mixed], -1), np.stack([mixed, dyy], -1)], -2)
 
     def _undistorted(self, goal_x: FloatArray, goal_y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """x and y that `_distorted` leads to these, within the fold; NaN where none does. [-]"""
         fold = self.fold()
         goal = np.hypot(goal_x, goal_y)
         shrink = np.minimum(1.0, 0.9 * fold / np.maximum(goal, 1e-300))
@@ -216,6 +230,7 @@ class Camera:
 
 
 def _inverse_2x2(matrix: FloatArray) -> FloatArray:
+    """Inverses of matrices (..., 2, 2); infinite or NaN where there is none."""
     a, b, c, d = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 0], matrix[..., 1, 1]
     with np.errstate(divide="ignore", invalid="ignore"):
         over = 1.0 / (a * d - b * c)
@@ -334,7 +349,13 @@ class Sensor:
 
 
 class Triangulated(NamedTuple):
-    """Points (..., 3) in the left camera's frame [m], and by how much the two rays miss each other [m]."""
+    """Points from two pixels each; NaN where the rays do not meet ahead.
+
+    Attributes
+    ----------
+    points : in the left camera's frame. (..., 3) [m]
+    miss_m : by how much the two rays miss each other. (...) [m]
+    """
 
     points: FloatArray
     miss_m: FloatArray
@@ -399,7 +420,7 @@ class StereoRig:
 
     @property
     def sigmas(self) -> dict[str, float]:
-        """Standard deviation of each parameter."""
+        """Standard deviation of each of `PARAMETERS`, in the unit that its name ends in."""
         return dict(zip(PARAMETERS, map(math.sqrt, np.diag(self.covariance)), strict=True))
 
     def summary(self) -> dict[str, Any]:

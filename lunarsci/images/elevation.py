@@ -33,8 +33,9 @@ SOIL = (
 RELAID = 3
 """How often models are laid onto the grid, each time shifted by what was found before."""
 REWEIGHTED = 5
+"""How often Huber's weights are taken anew from what the corrections before left over."""
 BETWEEN_NODES = 0.1
-"""Error of a position that heights on a grid tell, as a share of its spacing; assumed."""
+"""Error of a position that follows from heights on a grid, as a share of its spacing; assumed."""
 BLOCK = 12
 """Nodes along a side of the blocks whose gradients are compared; assumed."""
 COLUMNS = ("offset", "x_m", "y_m")
@@ -51,12 +52,15 @@ class ElevationModel:
     x0_m, y0_m, spacing_m : position of node [0, 0] and distance of the nodes. [m]
     height_m : NaN where unknown; row is y, column is x. (ny, nx) [m]
     height_m_sigma : random error of a node, one standard deviation; None where the file says nothing. (ny, nx) [m]
-    height_m_common_sigma : error that nodes share. (ny, nx) [m]
-    count : matched pixels by node. (ny, nx)
+    height_m_common_sigma : error that nodes share, one standard deviation; None where it is not known. (ny, nx) [m]
+    count : matched pixels by node, or models of a merged one. (ny, nx)
     height_by_disparity_m_px : by how much a height changes with the disparity. (ny, nx) [m/px]
-    resolution_m : width over which matching averages heights, and over which random errors hang together; 0 for nodes
+    resolution_m : width over which matching averages heights, and over which random errors are correlated; 0 for nodes
         that are independent points. (ny, nx) [m]
     synthetic : True for a made-up one.
+
+    A layer beside the heights may also be one number for all nodes, of shape (). Raises ParameterError for other shapes
+    and negative errors.
     """
 
     name: str
@@ -108,12 +112,17 @@ class ElevationModel:
         return float(x[0]) - half, float(x[-1]) + half, float(y[0]) - half, float(y[-1]) + half
 
     def layer(self, key: str) -> FloatArray:
-        """A layer at each node, NaN where nothing is known of it. (ny, nx)"""
+        """A copy of a layer at each node, `height_m` or one of `ERROR_LAYERS` in its unit; NaN where it is not known.
+        (ny, nx)"""
         values = getattr(self, key)
         return np.array(np.broadcast_to(np.nan if values is None else values, self.height_m.shape), dtype=float)
 
     def at(self, key: str, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> FloatArray:
-        """A layer between its nodes, bilinear; NaN outside and where one of the four is unknown."""
+        """A layer between its nodes, bilinear; NaN outside and where one of the four is unknown.
+
+        `key` as of `layer`; `x_m`, `y_m` are arrays or lists of one shape, which the answer has: (n,) or any other, but
+        no single numbers. [m]
+        """
         rows = (np.asarray(y_m, dtype=float) - self.y0_m) / self.spacing_m
         columns = (np.asarray(x_m, dtype=float) - self.x0_m) / self.spacing_m
         # A place on the last node, or a rounding beyond it, is on the map.
@@ -150,7 +159,10 @@ class ElevationModel:
 
 
 def mean_about(values: FloatArray, width: float) -> FloatArray:
-    """Mean of what is known under a Gaussian about each node; NaN where nothing is within four widths. (ny, nx)"""
+    """Mean of what is known under a Gaussian about each node; NaN where nothing is within four widths. (ny, nx)
+
+    `width` is the Gaussian's standard deviation in nodes.
+    """
     valid = np.isfinite(values)
     weight = gaussian_filter(valid.astype(float), width)
     with np.errstate(invalid="ignore"):
@@ -179,6 +191,7 @@ def read_elevation(path: str | Path) -> ElevationModel:
 
 
 def _layers(model: ElevationModel) -> dict[str, FloatArray]:
+    """Heights, and those layers of errors that the model has, by name. (ny, nx)"""
     return {key: model.layer(key) for key in ("height_m", *ERROR_LAYERS) if getattr(model, key) is not None}
 
 
@@ -200,7 +213,14 @@ def elevation_geotiff(model: ElevationModel) -> bytes:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StationPosition:
-    """Where a model belongs: x, y are added to its coordinates, z to its heights; covariance of x, y, z. [m], [m2]"""
+    """Where a model belongs.
+
+    Attributes
+    ----------
+    x_m, y_m : are added to its coordinates. [m]
+    z_m : is added to its heights. [m]
+    covariance_m2 : of x, y, z; zeros where they are exact. (3, 3) [m2]
+    """
 
     x_m: float = 0.0
     y_m: float = 0.0
@@ -210,10 +230,15 @@ class StationPosition:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Overlap:
-    """What two models say of each other, numbered from 0, once all are corrected.
+    """How two models differ at the nodes that both know, once all are corrected.
 
-    `mean_m` is the mean difference of the second less the first, `rms_z` its rms in standard errors, `odd_share` the
-    share beyond three.
+    Attributes
+    ----------
+    first, second : their numbers from 0, in the order given.
+    nodes : how many both know.
+    mean_m : median of the second less the first; the name is older than the median, and files have it. [m]
+    rms_z : root mean square of the differences in their standard errors, from random errors alone. [-]
+    odd_share : share of the nodes with more than three standard errors. [-]
     """
 
     first: int
@@ -231,7 +256,8 @@ class MergedMap:
     Attributes
     ----------
     model : heights with random and common error; `count` is the number of models.
-    corrections, covariance : of each model in `COLUMNS` [-], [m], [m], and of all of them. (k, 3), (3 k, 3 k)
+    corrections : what each of the k models is off by, in `COLUMNS`. (k, 3) [-, m, m]
+    covariance : of all corrections, model after model. (3 k, 3 k)
     z_score : largest disagreement of a node with the merged height, signed, NaN where there is one model. (ny, nx)
     overlaps : of pairs of models.
     """
@@ -278,6 +304,7 @@ def merge(
 
 
 def _axis(models: Sequence[ElevationModel], places: Sequence[StationPosition], name: str, step: float) -> FloatArray:
+    """Nodes of the merged map along `x_m` or `y_m`, from the least to the largest of any model. (n,) [m]"""
     shifted = [getattr(m, name) + getattr(p, name) for m, p in zip(models, places, strict=True)]
     low, high = min(v[0] for v in shifted), max(v[-1] for v in shifted)
     count = math.ceil((high - low) / step - 1e-6) + 1
@@ -288,9 +315,16 @@ def _axis(models: Sequence[ElevationModel], places: Sequence[StationPosition], n
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Stack:
-    """Models on one grid: heights, random variances, and derivatives by `COLUMNS`. (k, n), (k, n), (k, n, 3)
+    """k models on the n nodes of one grid, row by row.
 
-    `alike` is how many nodes are one measurement, `block` the number of the block that a node lies in. (n,)
+    Attributes
+    ----------
+    height : of the nodes, NaN where a model does not know one. (k, n) [m]
+    variance : random, of these. (k, n) [m2]
+    by : derivatives of the heights by `COLUMNS`. (k, n, 3) [m, -, -]
+    prior : covariance of what the models may be off by, in `COLUMNS`, model after model. (3 k, 3 k)
+    alike : how many nodes are one measurement, 1 or more: those within the resolution.
+    block : number of the block of `BLOCK` nodes along each side that a node lies in, from 0. (n,)
     """
 
     height: FloatArray
@@ -308,7 +342,11 @@ class _Stack:
         grid_m: tuple[FloatArray, FloatArray, float],
         shift: FloatArray,
     ) -> "_Stack":
-        """Models laid where they are thought to be: shifted by (k, 3), about which slopes are taken."""
+        """Models laid where they are thought to be.
+
+        grid_m : its x (nx,) and y (ny,), and their step. [m]
+        shift : by which each model is moved before slopes are taken, in `COLUMNS`; its offsets are 0. (k, 3)
+        """
         x, y, step = grid_m
         grid = np.meshgrid(x, y)
         heights, variances, derivatives = [], [], []
@@ -317,9 +355,9 @@ class _Stack:
             height = model.at("height_m", *at) + place.z_m
             sigma, common = model.at("height_m_sigma", *at), np.nan_to_num(model.at("height_m_common_sigma", *at))
             table = height.reshape(grid[0].shape)
-            down, right = np.gradient(np.where(np.isfinite(table), mean_about(table, 2.0), np.nan), step)
+            slope_y, slope_x = np.gradient(np.where(np.isfinite(table), mean_about(table, 2.0), np.nan), step)
             # A shift to the east moves the height of a place by less the slope.
-            by = [np.hypot(common, math.sqrt(place.covariance_m2[2, 2])), -right.ravel(), -down.ravel()]
+            by = [np.hypot(common, math.sqrt(place.covariance_m2[2, 2])), -slope_x.ravel(), -slope_y.ravel()]
             derivatives.append(np.nan_to_num(np.stack(by, axis=-1)))
             heights.append(np.where(np.isfinite(sigma) & (sigma > 0), height + derivatives[-1] @ moved, np.nan))
             variances.append(sigma**2)
@@ -364,9 +402,9 @@ class _Stack:
     def z_scores(self, merged: FloatArray, corrections: FloatArray) -> FloatArray:
         """What each model is off from the merged height, over the standard error of that difference. (k, n)"""
         with np.errstate(invalid="ignore", divide="ignore"):
-            left = self.variance - 1.0 / self.inverse().sum(axis=0)
-            off = (self.corrected(corrections) - merged) / np.sqrt(np.maximum(left, 0.0))
-        return np.where(left > 1e-6 * self.variance, off, np.nan)
+            spread = self.variance - 1.0 / self.inverse().sum(axis=0)
+            off = (self.corrected(corrections) - merged) / np.sqrt(np.maximum(spread, 0.0))
+        return np.where(spread > 1e-6 * self.variance, off, np.nan)
 
 
 def _width(models: Sequence[ElevationModel]) -> float:
@@ -375,7 +413,7 @@ def _width(models: Sequence[ElevationModel]) -> float:
 
 
 def _robust(stack: _Stack) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """What models are off by, its covariance, and Huber's weights of heights that do not fit the others.
+    """What models are off by (k, 3), its covariance (3 k, 3 k), and Huber's weights of their heights (k, n), 0 to 1.
 
     The covariance is C (S + P^-1) C with S the sum of squares of the gradients of blocks of the map (White 1982,
     10.2307/1912526), where it is larger than C: heights scatter more than they say, and alike over more than the
@@ -412,12 +450,12 @@ def _corrections(stack: _Stack, weight: FloatArray) -> tuple[FloatArray, FloatAr
     normal = -np.einsum("inc,jnd->icjd", weighted / total[:, None], weighted, optimize=True)
     for i in range(count):
         normal[i, :, i, :] += weighted[i].T @ by[i]
-    right = np.einsum("inc,in->ic", weighted, height - (inverse * height).sum(axis=0) / total)
+    rhs = np.einsum("inc,in->ic", weighted, height - (inverse * height).sum(axis=0) / total)
     # What is given beforehand may be exact: columns without a prior variance are left at zero.
     values, vectors = np.linalg.eigh(stack.prior)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     inner = root.T @ normal.reshape(count * columns, -1) @ root + np.eye(count * columns)
-    solved = root @ np.linalg.solve(inner, root.T @ right.ravel())
+    solved = root @ np.linalg.solve(inner, root.T @ rhs.ravel())
     return solved.reshape(count, columns), root @ np.linalg.inv(inner) @ root.T
 
 
@@ -429,6 +467,7 @@ def _result(
     covariance: FloatArray,
     grid: tuple[FloatArray, FloatArray, float],
 ) -> MergedMap:
+    """The merged map with its errors; `grid` as of `_Stack.of`, `weight` (k, n)."""
     x, y, step = grid
     shape = len(y), len(x)
     merged, inverse = stack.merged(weight, corrections), stack.inverse(weight)
@@ -465,6 +504,7 @@ def _result(
 
 
 def _overlaps(stack: _Stack, corrections: FloatArray) -> Iterator[Overlap]:
+    """Of each two models that know a node in common; `corrections` (k, 3)."""
     height = stack.corrected(corrections)
     for i, j in combinations(range(len(height)), 2):
         both = stack.valid[i] & stack.valid[j]

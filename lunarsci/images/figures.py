@@ -31,6 +31,7 @@ ARROW = 30.0
 
 
 def _map(axes: Axes, model: ElevationModel, values: FloatArray, label: str, **look: Any) -> None:
+    """Draw values (ny, nx) at the nodes of a model, with a bar of colours."""
     picture = axes.imshow(values, extent=model.extent_m, origin="lower", interpolation="nearest", **look)
     axes.figure.colorbar(picture, ax=axes, label=label, shrink=0.85)
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
@@ -75,6 +76,7 @@ def _along(axes: Axes, depths: TrackDepths) -> None:
 
 
 def _across(axes: Axes, model: ElevationModel, line: FloatArray, width_m: float, depths: TrackDepths) -> None:
+    """Draw the mean profile across the track over the plane of the ground beside it."""
     profile = TrackProfile.of_wheel(width_m, float(np.nan_to_num(np.nanmedian(model.layer("resolution_m")))))
     inner, outer = profile.ground_m
     nodes = unrolled(model, line, outer + width_m)
@@ -263,6 +265,7 @@ def ties_figure(result: Localised, number: int, *, synthetic: bool = False) -> F
 
 
 def _ties_picture(axis: Axes, light: FloatArray, places: FloatArray, colours: FloatArray, title: str) -> None:
+    """Draw a picture (h, w) with ties at (u, v) (n, 2) [px], coloured by numbers (n,)."""
     low, high = np.percentile(light, [0.5, 99.5])
     axis.imshow(np.sqrt(np.clip(light, 0, high)), cmap="gray", vmin=np.sqrt(max(low, 0)), vmax=np.sqrt(high))
     axis.scatter(places[:, 0], places[:, 1], c=colours, s=14, cmap="viridis", edgecolors="white", linewidths=0.5)
@@ -271,6 +274,7 @@ def _ties_picture(axis: Axes, light: FloatArray, places: FloatArray, colours: Fl
 
 
 def _ties_residuals(axis: Axes, places: FloatArray, off: FloatArray, weights: FloatArray) -> None:
+    """Draw residuals (n, 2) [px] as arrows at their places (u, v) (n, 2) [px], coloured by weight (n,)."""
     shown = axis.quiver(
         *places.T, *(ARROW * off).T, weights, angles="xy", scale_units="xy", scale=1, cmap="viridis", clim=(0, 1)
     )

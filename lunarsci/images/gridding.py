@@ -40,7 +40,15 @@ LEVEL = 0.01
 
 
 class Cloud(NamedTuple):
-    """Points of matched pixels: (n, 3) in the world [m], their (row, column), and the disparities' errors [px]."""
+    """Points of n matched pixels.
+
+    Attributes
+    ----------
+    points : in the world. (n, 3) [m]
+    pixels : row and column of each in the rectified left picture. (n, 2)
+    disparity : u in the left picture less u in the right one. (n,) [px]
+    sigma_px : its random error. (n,) [px]
+    """
 
     points: FloatArray
     pixels: npt.NDArray[np.int64]
@@ -85,7 +93,7 @@ def grid_of(
     farthest_m: float,
     synthetic: bool = False,
 ) -> ElevationModel:
-    """The mean height of each cell, and between pixels that lie farther apart than cells.
+    """The mean height of each cell, and between pixels that lie farther apart than cells, up to a range `farthest_m`.
 
     The error of a height is that at its place: a point that is wrong along its ray is also beside itself, which a slope
     turns into height. Common errors are those of the rig; those of the pose are not in it.
@@ -130,6 +138,8 @@ def _spread_of_means(
 ) -> FloatArray:
     """Random error of the cells' means. (ny, nx) [m]
 
+    By cell (ny, nx): height [m], variance of a pixel's height [m2], count of pixels, share that triangles cover.
+
     The error of a mean over n neighbouring pixels that are alike over w pixels falls as w / (sqrt(n) + w - 1). What no
     pixel shows of a cell is off by the relief.
     """
@@ -140,7 +150,7 @@ def _spread_of_means(
 
 
 def _medians(cell: npt.NDArray[np.int64], z: FloatArray, shape: tuple[int, int]) -> FloatArray:
-    """Median height of each cell, NaN where it has none. (ny, nx)"""
+    """Median height of each cell, NaN where it has none; `cell` (n,) is that of each height z (n,). (ny, nx) [m]"""
     medians, places = np.full(shape[0] * shape[1], np.nan), np.unique(cell)
     medians[places] = median(z, cell, places)
     return medians.reshape(shape)
@@ -149,7 +159,11 @@ def _medians(cell: npt.NDArray[np.int64], z: FloatArray, shape: tuple[int, int])
 def _height_by_disparity(
     cloud: Cloud, height: FloatArray, pose: Pose, cells: npt.NDArray[np.int64], spacing_m: float
 ) -> FloatArray:
-    """Change of the height at a place with the disparity of a pixel, on ground as steep as about it. (n,) [m/px]"""
+    """Change of the height at a place with the disparity of a pixel, on ground as steep as about it. (n,) [m/px]
+
+    height : of the cells. (ny, nx) [m]
+    cells : column and row of the cell of each pixel. (n, 2)
+    """
     slope_y, slope_x = _slope(height, spacing_m)
     way = cloud.points - pose.center_m
     along = slope_x[cells[:, 1], cells[:, 0]] * way[:, 0] + slope_y[cells[:, 1], cells[:, 0]] * way[:, 1]
@@ -157,7 +171,7 @@ def _height_by_disparity(
 
 
 def _unevenness(height: FloatArray, spacing_m: float) -> FloatArray:
-    """Rms of slopes from node to node about the smoothed ones; 0 where nothing is known. (ny, nx)"""
+    """Rms of slopes from node to node about the smoothed ones; 0 where nothing is known. (ny, nx) [-]"""
     apart = [
         np.clip(np.gradient(height, spacing_m, axis=axis), -STEEPEST, STEEPEST) - smooth
         for axis, smooth in enumerate(_slope(height, spacing_m))
@@ -197,7 +211,7 @@ def _common_errors(
     """What the rig's covariance makes of heights at their places, and how far it shifts these away from the camera.
 
     With the covariance V of a point, ground whose slopes are p and q rises by (-p, -q, 1) V (-p, -q, 1)^T, squared.
-    (ny, nx), (ny, nx) [m]
+    `grid` is x and y of the first node, and the spacing [m]. (ny, nx), (ny, nx) [m]
     """
     valid = np.isfinite(height)
     slope_y, slope_x = (part[valid] for part in _slope(height, grid[2]))
@@ -243,7 +257,7 @@ def _on_triangles(
     shape: tuple[int, int],
 ) -> tuple[FloatArray, FloatArray]:
     """Means of values (n, m) over each cell (ny, nx, m), on triangles between neighbouring pixels, and how much of it
-    these cover (ny, nx); NaN where that is little."""
+    these cover (ny, nx), 0 to 1; means are NaN where that is little. `used` (n,) are the pixels that count."""
     numbers = np.full(matches.disparity.shape, -1, dtype=np.int64)
     numbers[cloud.pixels[used, 0], cloud.pixels[used, 1]] = np.flatnonzero(used)
     place = (cloud.points[:, :2] - np.array(grid[:2])) / grid[2] * PARTS + 0.5 * (PARTS - 1)
@@ -263,7 +277,14 @@ def _on_triangles(
 
 @compiled(nogil=True, error_model="numpy")
 def _lay(numbers, place, values, disparity, jump, total, weight):  # type: ignore[no-untyped-def]
-    """Both triangles of every four neighbouring pixels that are one surface."""
+    """Lay both triangles of every four neighbouring pixels that are one surface.
+
+    numbers : of each pixel of the picture among n points, -1 for none. (h, w)
+    place, values, disparity : of the points: x and y in places of `total`, what is averaged, disparity [px].
+        (n, 2), (n, m), (n,)
+    jump : share of the disparity by which it differs at most over one surface. [-]
+    total, weight : sums of values, and how many triangles lie at a place; both are added to. (y, x, m), (y, x)
+    """
     for v in range(numbers.shape[0] - 1):
         for u in range(numbers.shape[1] - 1):
             a, b = numbers[v, u], numbers[v, u + 1]
@@ -280,6 +301,7 @@ def _lay(numbers, place, values, disparity, jump, total, weight):  # type: ignor
 
 @compiled(nogil=True, error_model="numpy")
 def _triangle(place, values, a, b, c, total, weight):  # type: ignore[no-untyped-def]
+    """Lay the triangle of points a, b, c, values linear between them; arguments as of `_lay`."""
     ax, ay, bx, by, cx, cy = place[a, 0], place[a, 1], place[b, 0], place[b, 1], place[c, 0], place[c, 1]
     area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
     if area == 0.0:

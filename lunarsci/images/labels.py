@@ -30,11 +30,12 @@ MOST_TRIES = 100
 COARSE_PX = 1.0
 """A fit that misses by more than a pixel says so, as does a calibration; assumed."""
 Z_DOWN = re.compile(r'COORD\w*SYSTEM_NAME\s*=\s*"?(?:ROVER|SITE|LOCAL_LEVEL|LANDER)\w*')
+"""A label whose frame has its z downwards."""
 DOWN = "z of the label's frame points down: x, -y, -z of it are told"
 NUMBER = r"[-+]?(?:\d++\.?+\d*+|\.\d++)(?:[eEdD][-+]?\d++)?"
-
-
+"""A number of a label."""
 CORNERS = ("up_left", "down_left", "up_right", "down_right", "center")
+"""Places of the picture whose directions a label lists."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -246,6 +247,7 @@ def _first_number(content: str, names: tuple[str, ...]) -> float | None:
 
 
 def orthonormal(matrix: FloatArray) -> FloatArray:
+    """The orthogonal matrix nearest to one. (3, 3)"""
     left, _, right = np.linalg.svd(matrix)
     return np.asarray(left @ right)
 
@@ -388,6 +390,7 @@ def _principal(name: str, root: Element, axis: str) -> float:
 
 
 def _vector(name: str, root: Element, tag: str) -> FloatArray | None:
+    """x, y, z of an element of a label; None where it is not there or not whole. (3,)"""
     node = next(root.iter(tag), None)
     cells = [] if node is None else [node.findtext(axis) for axis in "xyz"]
     values = np.array([finite(name, tag, cell) for cell in cells if cell])

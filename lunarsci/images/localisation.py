@@ -32,7 +32,7 @@ TEMPLATE_PX, WIDE_PX = (41, 17), (81, 25)
 pose is not known better than by dead reckoning; assumed. [px]"""
 OVERLAPPING = 4.0
 """How many templates see each pixel, half of one apart each way (as `TEMPLATE_PX`): by this the variance of one is
-larger, since their errors hang together."""
+larger, since their errors are correlated."""
 LEAST_CORRELATION, LOOSE_CORRELATION = 0.6, 0.45
 """Templates that agree less are no ties; the same where many are searched for one motion, which chance does not share,
 or where there are few; assumed."""
@@ -46,6 +46,7 @@ REACHES_PX = ((12, 6), (6, 4))
 FEWEST = 8
 """Fewest ties that a pose is believed of: four times the equations that its six unknowns need; assumed."""
 STEPS = 30
+"""Gauss-Newton steps of the adjustment, at most."""
 SMALL = 1e-6
 """Step of poses [rad, m] and rig that ends the adjustment."""
 SMALLEST_PX = 0.1
@@ -86,10 +87,11 @@ class TiePoints(NamedTuple):
     """Points that two stations see.
 
     near_px, far_px : (u, v) in the left pictures. (n, 2) [px]
-    near_disparity, far_disparity : u of the right picture less that of the left one; NaN where unknown. (n,) [px]
+    near_disparity, far_disparity : u of the right picture less that of the left one, both as taken: of the other sign
+        than `StereoMatches.disparity`; NaN where unknown. (n,) [px]
     near_sigma, far_sigma : their random errors. (n,) [px]
     covariance : of `far_px`, as the templates say. (n, 2, 2) [px^2]
-    correlation : of the templates. (n,)
+    correlation : of the templates. (n,) [-]
     """
 
     near_px: FloatArray
@@ -103,7 +105,7 @@ class TiePoints(NamedTuple):
 
 
 class PairTies(NamedTuple):
-    """Ties of two stations by their numbers."""
+    """Points that two stations see, and their numbers: `near` sees the common ground from nearer."""
 
     near: int
     far: int
@@ -116,13 +118,13 @@ class Adjusted:
 
     Attributes
     ----------
-    poses : of the left cameras.
+    poses : of the left cameras, of all s stations.
     covariance : of all poses but the first, which is given: rotation about x, y, z of the world [rad], place [m], one
         after the other; the rig's error is in it. (6 (s - 1), 6 (s - 1))
     rig : moved within its covariance.
-    inflation : by which errors of a pair's templates were multiplied, as they fit. (p,)
-    residual_px : of the farther left pictures, a pair. (n, 2) [px]
-    weights : of a pair's ties, 0 to 1. (n,)
+    inflation : for each of the p pairs, by which errors of its templates were multiplied, 1 or more. (p,) [-]
+    residual_px : by pair, measured less computed (u, v) of its n ties in the farther left picture. (n, 2) each [px]
+    weights : by pair, of its ties, 0 to 1. (n,) each
     """
 
     poses: tuple[Pose, ...]
@@ -154,9 +156,9 @@ def adjust(
     bundle = _Bundle(tuple(poses), tuple(covariances), rig, tuple(pairs))
     state = _Unknowns(tuple(start or poses), np.zeros(len(PARAMETERS)), np.zeros((len(pairs), 2)), (1.0,) * len(pairs))
     for _ in range(STEPS):
-        normal, goal, parts = bundle.equations(state)
+        normal, rhs, parts = bundle.equations(state)
         try:
-            change = cho_solve(cho_factor(normal), goal)
+            change = cho_solve(cho_factor(normal), rhs)
         except LinAlgError as error:
             raise DataError("the stations' poses do not follow from their ties; give better poses") from error
         state = bundle.moved(state, change, tuple(part.inflation for part in parts))
@@ -174,7 +176,8 @@ def adjust(
 
 
 class _Unknowns(NamedTuple):
-    """Poses, changes of the rig's parameters (24,), shifts of each pair's templates (p, 2) [px]; and `inflation`."""
+    """Poses of all left cameras, of which the first stays; `delta` changes of the rig's `PARAMETERS` (24,); `shifts`
+    (u, v) that the templates of each of p pairs share (p, 2) [px]; and `inflation` (p,), which residuals set."""
 
     poses: tuple[Pose, ...]
     delta: FloatArray
@@ -183,7 +186,13 @@ class _Unknowns(NamedTuple):
 
 
 class _Residuals(NamedTuple):
-    """Of a pair: weighted and whitened residuals (n, 3) with derivatives (n, 3, size), and what is told of them."""
+    """Residuals of the n ties of a pair.
+
+    residual : of u, v and disparity in the farther picture, whitened, times the root of the weight. (n, 3) [-]
+    slopes : derivatives of what is computed by all unknowns, whitened and weighted alike. (n, 3, size)
+    off_px, weight : plain residuals of u and v (n, 2) [px]; Huber's weights, 0 to 1 (n,).
+    inflation : by which errors of templates should be multiplied for these residuals, 1 or more. [-]
+    """
 
     residual: FloatArray
     slopes: FloatArray
@@ -194,6 +203,12 @@ class _Residuals(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Bundle:
+    """The equations of the adjustment; `priors` and `covariances` are what `adjust` takes.
+
+    Unknowns (size,) in order: of each station but the first the rotation about x, y, z of the world [rad] and the place
+    [m], then the `loose` parameters of the rig, then u and v of each pair's shift [px].
+    """
+
     priors: tuple[Pose, ...]
     covariances: tuple[FloatArray, ...]
     rig: StereoRig
@@ -206,10 +221,11 @@ class _Bundle:
 
     @property
     def free(self) -> int:
-        """Numbers of all poses but the first; those of the rig, and shifts of templates, come after them."""
+        """Count of the unknowns of all poses but the first; those of the rig, and shifts, come after them."""
         return 6 * (len(self.priors) - 1)
 
     def moved(self, state: _Unknowns, change: FloatArray, inflation: tuple[float, ...]) -> _Unknowns:
+        """The unknowns after a step `change` (size,) in their order, with another inflation of each pair."""
         turns, moves = np.split(change[: self.free].reshape(-1, 2, 3), 2, axis=1)
         poses = [
             Pose(rotation=rotation_of(turn[0]) @ pose.rotation, center_m=pose.center_m + move[0])
@@ -221,9 +237,9 @@ class _Bundle:
         return _Unknowns((state.poses[0], *poses), delta, shifts, inflation)
 
     def equations(self, state: _Unknowns) -> tuple[FloatArray, FloatArray, list[_Residuals]]:
-        """Normal matrix and right side of the Gauss-Newton step, and the residuals of pairs."""
+        """Normal matrix (size, size) and right-hand side (size,) of a Gauss-Newton step, and the residuals of pairs."""
         size, rig = self.free + len(self.loose) + 2 * len(self.pairs), slice(self.free, self.free + len(self.loose))
-        normal, goal = np.zeros((size, size)), np.zeros(size)
+        normal, rhs = np.zeros((size, size)), np.zeros(size)
         moved = np.array([now.center_m - prior.center_m for now, prior in zip(state.poses, self.priors, strict=True)])
         for k in range(1, len(self.priors)):
             weight = np.linalg.inv(self.covariances[k])
@@ -233,19 +249,19 @@ class _Bundle:
             if k > 1:
                 by[3:, 6 * k - 9 : 6 * k - 6] = -np.eye(3)
             normal += by.T @ weight @ by
-            goal -= by.T @ weight @ np.concatenate([turned, moved[k] - moved[k - 1]])
+            rhs -= by.T @ weight @ np.concatenate([turned, moved[k] - moved[k - 1]])
         weight = np.linalg.inv(self.rig.covariance[np.ix_(self.loose, self.loose)])
         normal[rig, rig] += weight
-        goal[rig] -= weight @ state.delta[self.loose]
+        rhs[rig] -= weight @ state.delta[self.loose]
         shifts = np.arange(rig.stop, size)
         normal[shifts, shifts] += SHIFTED_PX**-2
-        goal[shifts] -= SHIFTED_PX**-2 * state.shifts.ravel()
+        rhs[shifts] -= SHIFTED_PX**-2 * state.shifts.ravel()
         parts = [self._residuals(state, index, pair, size) for index, pair in enumerate(self.pairs)]
         for part in parts:
             flat = part.slopes.reshape(-1, size)
             normal += flat.T @ flat
-            goal += flat.T @ part.residual.ravel()
-        return normal, goal, parts
+            rhs += flat.T @ part.residual.ravel()
+        return normal, rhs, parts
 
     def _residuals(self, state: _Unknowns, index: int, pair: PairTies, size: int) -> _Residuals:
         """What the farther station sees of points less where these are as the nearer one sees them.
@@ -286,7 +302,8 @@ class _Bundle:
 
 
 def _diagonal(sigma: FloatArray, places: FloatArray) -> FloatArray:
-    """Covariances of places and disparities, (n, 3, 3), from those of both: (n,), (2, 2) or (n, 2, 2)."""
+    """Covariances of (u, v, disparity) (n, 3, 3), from errors of disparities (n,) and covariances of (u, v), one each
+    or one for all: (n, 2, 2) or (2, 2). [px^2], [px], [px^2]"""
     covariance = np.zeros((len(sigma), 3, 3))
     covariance[:, :2, :2], covariance[:, 2, 2] = places, sigma**2
     return covariance
@@ -307,7 +324,8 @@ def triangulated(rig: StereoRig, left_px: FloatArray, disparity: FloatArray) -> 
 
 
 class _Side(NamedTuple):
-    """What one station's rig shows of points: (u, v, u_right - u_left), and derivatives by point, pose and rig."""
+    """What one station's rig shows of n points: u, v and disparity (n, 3) [px], and their derivatives by the point in
+    the world (n, 3, 3), the left camera's rotation [rad] and place [m] (n, 3, 6), the rig's `loose` parameters."""
 
     pixels: FloatArray
     by_point: FloatArray
@@ -316,7 +334,7 @@ class _Side(NamedTuple):
 
 
 def _seen_by(rig: StereoRig, pose: Pose, points: FloatArray, loose: IntArray) -> _Side:
-    """Pixels and disparities of points (n, 3) of the world with their derivatives."""
+    """Pixels and disparities of points (n, 3) of the world [m] with their derivatives; `pose` of the left camera."""
     local = pose.to_camera(points)
     left = rig.left.project_with_derivatives(local)
     right = rig.right.project_with_derivatives(local @ rig.rotation.T + rig.translation_m)
@@ -340,8 +358,9 @@ def crossed(vectors: FloatArray) -> FloatArray:
 class Transferred(NamedTuple):
     """One station's picture in the rectified frame of another.
 
-    light, seen : (h, w). place : rectified (u, v) of the station that it is from, a whole pixel, and apart : how far
-    that falls from the middle of the pixel here. (h, w, 2) [px]
+    light, seen : root of its light, 0 where nothing is seen, and where something is. (h, w)
+    place : rectified (u, v) in the picture that it is from, a whole pixel. (h, w, 2) [px]
+    apart : (u, v) by which that pixel falls from the middle of the pixel here. (h, w, 2) [px]
     """
 
     light: npt.NDArray[np.float32]
@@ -387,7 +406,8 @@ def transfer(near: Station, pose: Pose, far: Station, far_pose: Pose) -> Transfe
 
 
 def features(seen: Transferred, far: Station, reach_px: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
-    """Features that both views have, (u, v) in the transferred and in the true one. (n, 2), (n, 2) [px]"""
+    """Features that both views have, at most `reach_px` apart along u and v: (u, v) in the transferred and in the true
+    one. (n, 2), (n, 2) [px]"""
     cv2 = open_cv()
     views = seen.light, np.sqrt(np.maximum(far.matches.left, 0.0)).astype(np.float32)
     mask = cv2.erode(seen.seen.astype(np.uint8), np.ones((9, 9), np.uint8))
@@ -417,7 +437,8 @@ def _eight(light: npt.NDArray[np.float32], used: BoolArray) -> npt.NDArray[np.ui
 
 
 class RigidMotion(NamedTuple):
-    """A rigid motion from the nearer camera's frame into the farther one's, and which ties follow it. (n,)"""
+    """A rigid motion from the nearer camera's frame into the farther one's, X_far = rotation X_near + translation_m
+    (3, 3), (3,) [m], and which ties follow it (n,)."""
 
     rotation: FloatArray
     translation_m: FloatArray
@@ -449,7 +470,8 @@ def templates(
     size_px: tuple[int, int] = TEMPLATE_PX,
     least: float = LEAST_CORRELATION,
 ) -> TiePoints:
-    """Ties on a grid of the transferred view: where templates of it agree best with the true one."""
+    """Ties on a grid of the transferred view: where templates of it, `size_px` wide and high, agree best with the true
+    one, at most `reach_px` away along u and v, with a correlation of `least` or more."""
     cv2 = open_cv()
     width, height = (side // 2 for side in size_px)
     margin = width + reach_px[0] + 1, height + reach_px[1] + 1
@@ -475,7 +497,8 @@ def _peak(surface: FloatArray, size: int, least: float = LEAST_CORRELATION) -> t
     """Place, correlation and covariance (uu, uv, vv) of a correlation's best place; None where it is none.
 
     With correlation r and its second derivatives H the covariance is that of least squares, 2 (1 - r) / n (-H)^-1;
-    it is taken `OVERLAPPING` times as large.
+    it is taken `OVERLAPPING` times as large. `surface` has the correlations by shift, `size` is n, the pixels of a
+    template; the place is (u, v) in `surface`. [px], [-], [px^2]
     """
     v, u = np.unravel_index(int(surface.argmax()), surface.shape)
     if surface[v, u] < least or not (0 < v < surface.shape[0] - 1 and 0 < u < surface.shape[1] - 1):
@@ -495,7 +518,8 @@ def _peak(surface: FloatArray, size: int, least: float = LEAST_CORRELATION) -> t
 
 
 def _side(matches: StereoMatches, rig: StereoRig, places: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Left pixels as taken, u of the right one less that of the left one, and its error, of rectified places."""
+    """Left pixels as taken (n, 2), u of the right one less that of the left one (n,), and its error (n,), of rectified
+    places (n, 2). [px]"""
     disparity, sigma = _at(np.stack([matches.disparity, matches.sigma_px], axis=-1), places).T
     left = original_px(matches.rectified, rig, places)
     right = original_px(matches.rectified, rig, places - np.stack([disparity, 0 * disparity], -1), right=True)
@@ -503,7 +527,7 @@ def _side(matches: StereoMatches, rig: StereoRig, places: FloatArray) -> tuple[F
 
 
 def original_px(frame: Rectified, rig: StereoRig, places: FloatArray, *, right: bool = False) -> FloatArray:
-    """Pixels in the picture as it was taken of rectified ones. (..., 2)"""
+    """Pixels in the left picture as it was taken, or in the right one, of rectified ones. (..., 2) [px]"""
     flat = (places - np.array(frame.center_px)) / frame.focal_px
     rays = np.concatenate([flat, np.ones_like(flat[..., :1])], axis=-1) @ frame.turn
     return rig.right.project(rays @ rig.rotation.T) if right else rig.left.project(rays)
@@ -526,11 +550,11 @@ def _nearest(values: FloatArray, places: FloatArray) -> FloatArray:
 class PairReport(NamedTuple):
     """What came of two stations.
 
-    first, second : their numbers. near : number of the one that sees the common ground from nearer.
-    overlap : share of the farther picture that the nearer one fills.
-    features, inliers : seen by both, and those of the motion that most share.
-    ties : of templates. correlation : their median, nan where there are none.
-    ground_m : median distance of the common ground from both. failure : '' or why there are no ties.
+    first, second, near : their numbers, and that of the one that sees the common ground from nearer.
+    overlap : share of the farther picture that the nearer one fills. [-]
+    features, inliers : seen by both, wide templates included, and those of the motion that most share.
+    ties, correlation : how many templates agree, and their median correlation, NaN where there are none.
+    ground_m, failure : median distance of the common ground from both [m]; why there are no ties, or ''.
     """
 
     first: int
@@ -551,11 +575,12 @@ class Localised:
 
     Attributes
     ----------
-    stations : as they were given.
-    poses, covariance : of all left cameras; of the first nothing is in the covariance. See `Adjusted`.
+    stations : the s stations, as they were given.
+    poses : of all left cameras.
+    covariance : of all poses but the first, as in `Adjusted`. (6 (s - 1), 6 (s - 1)) [rad, m]
     pairs, adjusted : ties, and how they fit.
     reports : of each pair that was tried.
-    tied : whether a station hangs together with the first one by ties. (s,)
+    tied : whether a station is connected with the first one by ties. (s,)
     """
 
     stations: tuple[Station, ...]
@@ -592,7 +617,7 @@ class Localised:
         return np.asarray(self._carried(one) @ self.covariance[rows, columns] @ self._carried(other).T)
 
     def _carried(self, number: int) -> FloatArray:
-        """Errors of a place by those of the camera's pose. (6, 6)"""
+        """Derivatives of the rover's pose by that of the left camera, rotation first. (6, 6)"""
         by, rover = np.eye(6), self.stations[number].rover
         if rover is not None:
             by[3:, :3] = -crossed((self.poses[number].rotation @ rover.center_m)[None])[0]

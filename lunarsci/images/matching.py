@@ -25,17 +25,19 @@ HALF_PX = 3
 """Windows are 7 x 7 pixels: the compromise between noise and relief that was nearest to the truth of two rendered pairs
 (`tests/benchmarks/scenes.py`: NavCam 2, PanCam 1) of 5, 7 and 9."""
 STEPS = 5
+"""Steps of least squares on a window, at most."""
 SMALL_STEP_PX = 0.01
+"""Step of a disparity that ends them; ten times as large a last one is taken for an answer, too. [px]"""
 FARTHEST_PX = 0.9
-"""A window that moves farther from where it began has found something else; assumed."""
+"""A window whose disparity moves farther from where it began is on something else; assumed. [px]"""
 STEEPEST = 2 / 3
 """Largest change of disparity from pixel to pixel of the left picture: 1 from pixel to pixel between both pictures
 (Pollard et al. 1985, Perception 14, 449, 10.1068/p140449). [px/px]"""
 ROWS = 16
-
-
+"""Rows of refined pixels that a thread takes at a time."""
 REASONS = ("matched", "edge", "saturated", "shadow", "no texture", "occluded", "no match", "island")
 MATCHED, EDGE, SATURATED, SHADOW, NO_TEXTURE, OCCLUDED, NO_MATCH, ISLAND = range(len(REASONS))
+"""Numbers in `StereoMatches.reason`, and their words."""
 BLOCK_PX = 5
 """Window of semi-global matching: the manual of OpenCV (Bradski 2000, Dr. Dobb's J. Softw. Tools 25, 120) advises 3 to
 11 px, and penalties of 8 and 32 times its area."""
@@ -63,7 +65,7 @@ ISLAND_OFF, ABOUT_PX = 0.5, 33
 """How far an island may be off the ground about it, as a share of its disparity, and the width of the window in which
 this ground is looked for [px]; measured: of shares from 0.1 on this one costs a real pair the fewest pixels."""
 CORRELATED = 2.4
-"""Random errors over those of the normal matrix, since what is left of the light hangs together: fitted to four
+"""Random errors over those of the normal matrix, since what is left of the light is correlated: fitted to four
 rendered pairs (`tests/benchmarks/scenes.py`: NavCam 2 and 4, PanCam 1 and 10), and tried on others."""
 RELIEF = 0.9
 """Share of the relief within a window, beyond its plane, that the middle is off by: as `CORRELATED`."""
@@ -72,8 +74,16 @@ SMALLEST_SIGMA_PX = 0.02
 
 
 class Refined(NamedTuple):
-    """By pixel (h, w): disparity and its error [px], its slopes along u and v [px/px], what is left of the light over
-    what was there [-], and how far the rows are apart [px]; NaN where nothing fitted."""
+    """What windows about the pixels of the left picture were fitted by; NaN where nothing fitted. (h, w) each
+
+    Attributes
+    ----------
+    disparity : u in the left picture less u in the right one. [px]
+    sigma : its standard error, by the normal matrix and what is left of the light. [px]
+    slope_u, slope_v : change of the disparity along u and v. [px/px]
+    misfit : rms of what is left of the light over that of the left window about its mean. [-]
+    row_offset : v in the right picture less v in the left one, 0 where it was not solved for. [px]
+    """
 
     disparity: FloatArray
     sigma: FloatArray
@@ -93,10 +103,16 @@ def refine(
     step_px: int = 1,
     rows: bool = False,
 ) -> Refined:
-    """Refine disparities (h, w) [px] from where they are finite, on every `step_px`-th pixel.
+    """Refine disparities by least squares on windows.
 
-    `left`, `right` are rectified pictures (h, w); `slopes` how disparity changes along u and v. With `rows` the
-    distance of the rows is solved for as well.
+    Parameters
+    ----------
+    left, right : rectified pictures, in any unit of light. (h, w)
+    first : disparities to begin with, NaN where none is refined. (h, w) [px]
+    slopes : how they change along u and v. (h, w) each [px/px]
+    half_px : windows have 2 half_px + 1 pixels along each side.
+    step_px : every such row and column alone is refined.
+    rows : solve for the distance of the rows as well.
     """
     shape = left.shape
     refined = Refined(*(np.full(shape, np.nan) for _ in Refined._fields))
@@ -126,8 +142,14 @@ def _refine_rows(  # type: ignore[no-untyped-def]
     misfit,
     offset,
 ):
+    """Refine pixels of the rows from `low` to below `high`, and write them into the last six, fields of `Refined`.
+
+    `first`, `first_u`, `first_v` : disparity to begin with and its slopes (h, w); `half`, `step`, `rows` : as `refine`
+    takes them, in pixels. The unknowns, `values`, are disparity, its slopes along u and v, gain and offset of the
+    light, and the distance of the rows.
+    """
     count = 6 if rows else 5
-    normal, side = np.empty((6, 6)), np.empty(6)
+    normal, rhs = np.empty((6, 6)), np.empty(6)
     row, values = np.empty(6), np.empty(6)
     height, width = left.shape
     for v in range(low, high, step):
@@ -148,13 +170,13 @@ def _refine_rows(  # type: ignore[no-untyped-def]
             good, change = True, 1.0
             total = 0.0
             for _ in range(STEPS):
-                total = _normal_equations(left, right, u, v, half, values, normal, side, row, count)
-                if total < 0.0 or not _solved(normal, side, count):
+                total = _normal_equations(left, right, u, v, half, values, normal, rhs, row, count)
+                if total < 0.0 or not _solved(normal, rhs, count):
                     good = False
                     break
-                change = abs(side[0])
+                change = abs(rhs[0])
                 for k in range(count):
-                    values[k] += side[k]
+                    values[k] += rhs[k]
                 if abs(values[0] - start) > FARTHEST_PX or abs(values[1]) > STEEPEST or abs(values[2]) > STEEPEST:
                     good = False
                     break
@@ -169,9 +191,13 @@ def _refine_rows(  # type: ignore[no-untyped-def]
 
 
 @compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz", "reassoc", "arcp"})
-def _normal_equations(left, right, u, v, half, values, normal, side, row, count):  # type: ignore[no-untyped-def]
-    """Sum of squares left; negative where the window leaves the right picture."""
-    normal[:], side[:], total = 0.0, 0.0, 0.0
+def _normal_equations(left, right, u, v, half, values, normal, rhs, row, count):  # type: ignore[no-untyped-def]
+    """Sum of squares left of the light; negative where the window leaves the right picture.
+
+    Fills `normal` (6, 6), its lower triangle, and `rhs` (6,) for the `count` unknowns at `values` (6,) of the window
+    about (u, v); `row` (6,) is room for the derivatives at a pixel.
+    """
+    normal[:], rhs[:], total = 0.0, 0.0, 0.0
     width = right.shape[1]
     gain, level = values[3], values[4]
     for dv in range(-half, half + 1):
@@ -199,15 +225,16 @@ def _normal_equations(left, right, u, v, half, values, normal, side, row, count)
                 missing -= row[5] * values[5]
             total += missing * missing
             for k in range(count):
-                side[k] += row[k] * missing
+                rhs[k] += row[k] * missing
                 for m in range(k + 1):
                     normal[k, m] += row[k] * row[m]
     return total
 
 
 @compiled(nogil=True, error_model="numpy")
-def _solved(normal, side, count):  # type: ignore[no-untyped-def]
-    """Cholesky in place: `normal` becomes its factor, `side` the solution; False where it has none."""
+def _solved(normal, rhs, count):  # type: ignore[no-untyped-def]
+    """Cholesky in place: the lower triangle of `normal` (6, 6) becomes its factor, `rhs` (6,) the solution; False where
+    it has none. The first `count` unknowns alone."""
     for k in range(count):
         for m in range(k + 1):
             total = normal[k, m]
@@ -221,18 +248,18 @@ def _solved(normal, side, count):  # type: ignore[no-untyped-def]
                 normal[k, k] = np.sqrt(total)
     for k in range(count):
         for n in range(k):
-            side[k] -= normal[k, n] * side[n]
-        side[k] /= normal[k, k]
+            rhs[k] -= normal[k, n] * rhs[n]
+        rhs[k] /= normal[k, k]
     for k in range(count - 1, -1, -1):
         for n in range(k + 1, count):
-            side[k] -= normal[n, k] * side[n]
-        side[k] /= normal[k, k]
+            rhs[k] -= normal[n, k] * rhs[n]
+        rhs[k] /= normal[k, k]
     return True
 
 
 @compiled(nogil=True, error_model="numpy")
 def _first_of_inverse(factor, count):  # type: ignore[no-untyped-def]
-    """The first diagonal element of the inverse of what `factor` is the Cholesky factor of."""
+    """First diagonal element of the inverse of a matrix of which `factor` is the Cholesky factor, `count` rows."""
     total = 0.0
     column = np.zeros(6)
     for k in range(count):
@@ -246,7 +273,7 @@ def _first_of_inverse(factor, count):  # type: ignore[no-untyped-def]
 
 @compiled(nogil=True, error_model="numpy")
 def _spread(picture, u, v, half):  # type: ignore[no-untyped-def]
-    """Sum of squares about the mean of a window."""
+    """Sum of squares of the light about its mean in the window about (u, v)."""
     total, square = 0.0, 0.0
     for dv in range(-half, half + 1):
         for du in range(-half, half + 1):
@@ -259,8 +286,13 @@ def _spread(picture, u, v, half):  # type: ignore[no-untyped-def]
 class Rectified(NamedTuple):
     """Two pinholes side by side, as a rig's cameras would see with their rows in line.
 
-    `turn` (3, 3) leads from the left camera's frame to theirs; `focal_px` and `center_px` are those of both;
-    `maps` say where a rectified pixel lies in the left and in the right picture. (2, h, w, 2) [px]
+    Attributes
+    ----------
+    turn : turns a direction of the left camera's frame into theirs. (3, 3)
+    focal_px : focal length of both. [px]
+    center_px : principal point (u, v) of both. [px]
+    baseline_m : distance of the right one along x. [m]
+    maps : (u, v) of a rectified pixel in the left and in the right picture as taken, NaN for none. (2, h, w, 2) [px]
     """
 
     turn: FloatArray
@@ -271,10 +303,11 @@ class Rectified(NamedTuple):
 
     @property
     def shape(self) -> tuple[int, int]:
+        """Height and width. [px]"""
         return self.maps.shape[1], self.maps.shape[2]
 
     def points(self, disparity: FloatArray) -> FloatArray:
-        """Points (h, w, 3) of the left camera's frame. [m]"""
+        """Points (h, w, 3) of the left camera's frame [m] from disparities (h, w) [px]."""
         v, u = np.mgrid[: self.shape[0], : self.shape[1]]
         depth = self.focal_px * self.baseline_m / disparity
         x, y = (u - self.center_px[0]) / self.focal_px, (v - self.center_px[1]) / self.focal_px
@@ -288,8 +321,8 @@ class StereoMatches:
     Attributes
     ----------
     rectified : the frame they are in.
-    left : the left picture in it. (h, w)
-    disparity, sigma_px : NaN where there is none; sigma is random. (h, w) [px]
+    left : light of the left picture in it, in the numbers of its file. (h, w)
+    disparity, sigma_px : u in the left picture less u in the right one, and its random error; NaN for none. (h, w) [px]
     reason : place in `REASONS` of why there is none. (h, w)
     first : what semi-global matching found. (h, w) [px]
     row_offset_px : how far the rows of the two pictures were apart at the middle, before they were moved. [px]
@@ -346,7 +379,8 @@ def match(
 ) -> StereoMatches:
     """Match two pictures of a rig, between two distances along their axis [m].
 
-    Raises DataError where they do not match.
+    `left`, `right` are as the cameras took them; `progress` is called with (done, 5). Raises DataError where they do
+    not match.
     """
     report = progress or (lambda done, total: None)
     report(0, 5)
@@ -387,6 +421,7 @@ def match(
 
 
 def _warped(values: npt.NDArray[Any], places: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """A picture at places (u, v) (h, w, 2) of it [px]; 0 beyond its border and where a place is NaN. (h, w)"""
     cv2 = open_cv()
     maps = np.nan_to_num(places, nan=-9.0)
     return np.asarray(
@@ -395,7 +430,10 @@ def _warped(values: npt.NDArray[Any], places: npt.NDArray[np.float32]) -> npt.ND
 
 
 def _semi_global(pictures: list[npt.NDArray[np.float32]], span: tuple[float, float]) -> FloatArray:
-    """Disparity by OpenCV, in steps of a sixteenth of a pixel; NaN where it finds none. (h, w) [px]"""
+    """Disparity by OpenCV, in steps of a sixteenth of a pixel; NaN where it finds none. (h, w) [px]
+
+    `pictures` are the rectified left and right one (h, w), `span` the largest and the least disparity [px].
+    """
     cv2 = open_cv()
     top = float(np.percentile(pictures[0], 99.5))
     eight = [np.clip(255 * np.sqrt(np.maximum(p, 0) / top), 0, 255).astype(np.uint8) for p in pictures]
@@ -430,14 +468,14 @@ def _mean_in_window(values: FloatArray, side: int) -> tuple[FloatArray, FloatArr
 def _slopes(first: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Change of disparity along u and v, smoothed; 0 where it is not known. (h, w) [px/px]"""
     mean, share = _mean_in_window(first, 11)
-    down, across = np.gradient(np.where(share > 0.3, mean, np.nan))
-    return np.clip(np.nan_to_num(across), -STEEPEST, STEEPEST), np.clip(np.nan_to_num(down), -STEEPEST, STEEPEST)
+    slope_v, slope_u = np.gradient(np.where(share > 0.3, mean, np.nan))
+    return np.clip(np.nan_to_num(slope_u), -STEEPEST, STEEPEST), np.clip(np.nan_to_num(slope_v), -STEEPEST, STEEPEST)
 
 
 def _rows_in_line(
     pictures: list[npt.NDArray[np.float32]], first: FloatArray, names: str
 ) -> tuple[float, npt.NDArray[np.float32]]:
-    """The right picture with its rows moved onto the left one's, and by how much at the middle. [px]
+    """By how much rows of the right picture are moved at its middle [px], and it with its rows on the left one's.
 
     A calibration that is a little off leaves them apart; the distance is a plane over the picture. Raises DataError
     where it is large, or scatters as in no pair of one moment.
@@ -473,7 +511,12 @@ def _reasons(
     refined: Refined,
     frame: Rectified,
 ) -> npt.NDArray[np.uint8]:
-    """Why a pixel has no disparity; the first reason that holds. (h, w)"""
+    """Why a pixel has no disparity, by its number in `REASONS`; the first reason that holds. (h, w)
+
+    pictures, full : the rectified left and right one, and where they are saturated. (h, w) each
+    first, refined : disparities of semi-global matching, and what least squares made of them. (h, w)
+    frame : the rectified frame.
+    """
     cv2 = open_cv()
     window = (2 * HALF_PX + 1,) * 2
     light = cv2.boxFilter(pictures[0], -1, window)
@@ -529,12 +572,15 @@ def _relief(disparity: FloatArray) -> FloatArray:
     mu, mv, md = mean(u), mean(v), mean(disparity)
     uu, vv, dd = mean(u * u) - mu**2, mean(v * v) - mv**2, mean(disparity**2) - md**2
     du, dv = mean(disparity * u) - md * mu, mean(disparity * v) - md * mv
-    left = dd - du**2 / np.maximum(uu, 1e-9) - dv**2 / np.maximum(vv, 1e-9)
-    return np.sqrt(np.maximum(left, 0.0))
+    variance = dd - du**2 / np.maximum(uu, 1e-9) - dv**2 / np.maximum(vv, 1e-9)
+    return np.sqrt(np.maximum(variance, 0.0))
 
 
 def _matter(left: Picture, right: Picture, frame: Rectified, span: tuple[float, float]) -> str:
-    """What is wrong with two pictures of which too few pixels match, from trying them otherwise, half as large."""
+    """What is wrong with two pictures of which too few pixels match, from trying them otherwise, half as large.
+
+    `span` is the largest and the least disparity in full size. [px]
+    """
 
     def share(one: FloatArray, two: FloatArray) -> float:
         small = [np.ascontiguousarray(_warped(p, m)[::2, ::2]) for p, m in zip((one, two), frame.maps, strict=True)]

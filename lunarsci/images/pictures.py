@@ -19,6 +19,7 @@ from lunarsci.io.inputs import InputFile, read_input, unheard
 from lunarsci.ranges import refuse
 
 LABELS = (".2bl", ".2cl", ".2al", ".xml")
+"""Ends of names of PDS4 labels; those of the Chinese archive end in an l after the end of the raw file."""
 RAW_TYPES = {
     "UnsignedByte": "u1",
     "UnsignedLSB2": "<u2",
@@ -26,6 +27,7 @@ RAW_TYPES = {
     "SignedLSB2": "<i2",
     "SignedMSB2": ">i2",
 }
+"""Types of numbers of PDS4 labels, as NumPy calls them."""
 MOST_PIXELS = 50_000_000
 """Of a picture, with all colours of a raw one: it takes 0.4 GB as numbers, and reading it five times as much."""
 NO_PICTURE = "no picture that can be read; give PNG, TIFF, JPEG or a PDS4 label"

@@ -44,7 +44,9 @@ ROCK_ALBEDO = 1.15
 LIFT_M = 1e-5
 """How far over a surface a ray begins that leaves it. [m]"""
 Law = Literal["lommel-seeliger", "hapke"]
+"""How the ground scatters light."""
 SKY, GROUND, ROCK = 0, 1, 2
+"""What a ray meets, as numbers of `Seen.kind` and `PixelTruth.kind`."""
 SUN_RADIUS_RAD = math.radians(0.2666)
 """Half the angle of the Sun's disk at 1 au: 959.63 arc seconds, Auwers (1891), Astron. Nachr. 128, 361. The nominal
 radius of the Sun (Prsa et al. 2016, 10.3847/0004-6256/152/2/41) gives 0.2665 deg. [rad]"""
@@ -102,7 +104,7 @@ class Landscape:
         return np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)])
 
     def ground(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> FloatArray:
-        """Height of the triangles without rocks; NaN beyond the grid. [m]"""
+        """Height of the triangles without rocks at places of any one shape; NaN beyond the grid. [m]"""
         x, y = np.asarray(x_m, dtype=float), np.asarray(y_m, dtype=float)
         column, row = (x - self.x0_m) / self.spacing_m, (y - self.y0_m) / self.spacing_m
         inside = (
@@ -122,9 +124,9 @@ class Landscape:
         height = self.ground(x, y)
         for row in self.rocks:
             turned = ((x - row[0]) + 1j * (y - row[1])) * np.exp(-1j * math.radians(row[6]))
-            left = 1 - (turned.real / row[3]) ** 2 - (turned.imag / row[4]) ** 2
-            top = row[2] + row[5] * np.sqrt(np.maximum(left, 0.0))
-            height = np.where((left > 0) & (top > height), top, height)
+            squared = 1 - (turned.real / row[3]) ** 2 - (turned.imag / row[4]) ** 2
+            top = row[2] + row[5] * np.sqrt(np.maximum(squared, 0.0))
+            height = np.where((squared > 0) & (top > height), top, height)
         return height
 
 
@@ -216,6 +218,7 @@ def read_track(source: str) -> tuple[FloatArray, FloatArray]:
 
 
 def _refined(height: FloatArray, times: float) -> FloatArray:
+    """Heights on a grid `times` as fine, by cubic splines between the nodes. [m]"""
     if times == 1:
         return height
     rows, columns = (np.arange(0, count - 1 + 1e-9, 1 / times) for count in height.shape)
@@ -224,7 +227,7 @@ def _refined(height: FloatArray, times: float) -> FloatArray:
 
 
 def _fractal(shape: tuple[int, int], spacing_m: float, longest_m: float, random: np.random.Generator) -> FloatArray:
-    """Waves of up to `longest_m`, power k^-(2 H + 2), rms 1. (ny, nx)"""
+    """Waves of up to `longest_m`, power k^-(2 H + 2), with an rms of 1. (ny, nx) [-]"""
     k = np.hypot(np.fft.fftfreq(shape[0], spacing_m)[:, None], np.fft.rfftfreq(shape[1], spacing_m)[None, :])
     with np.errstate(divide="ignore"):
         weight = np.where(k >= 1 / longest_m, k ** -(HURST + 1), 0.0)
@@ -233,7 +236,19 @@ def _fractal(shape: tuple[int, int], spacing_m: float, longest_m: float, random:
 
 
 class World(NamedTuple):
-    """What the compiled functions read of a landscape."""
+    """What the compiled functions read of a landscape. Arrays are contiguous; nodes are (row of y, column of x).
+
+    Attributes
+    ----------
+    place : x and y of node [0, 0], and the distance of the nodes. (3,) [m]
+    heights : of the nodes. (ny, nx) [m]
+    normals : unit normals of the ground at the nodes, upwards. (ny, nx, 3)
+    albedo : reflectance over its mean at the nodes. (ny, nx) [-]
+    peaks : highest corner of each cell, then of squares of 2, 4, ... cells, all in one row. (p,) [m]
+    levels : first place in `peaks` of each size of squares, and their rows and columns. (levels, 3)
+    rocks : middle x, y, z, half axes a, b, c [m], cosine and sine of the first axis's direction. (n, 8)
+    sun : unit direction to the middle of the Sun. (3,)
+    """
 
     place: FloatArray
     heights: FloatArray
@@ -272,7 +287,16 @@ def _peaks(height: FloatArray) -> tuple[FloatArray, npt.NDArray[np.int64]]:
 
 
 class Seen(NamedTuple):
-    """Light, distance (inf in the sky) [m] and kind of what rays meet, whether the Sun reaches it, or could."""
+    """What n rays meet. (n,) each
+
+    Attributes
+    ----------
+    light : radiance factor; 0 in the sky. [-]
+    far : distance along the ray, infinite in the sky. [m]
+    kind : `SKY`, `GROUND` or `ROCK`.
+    lit : whether its point of the Sun's disk shines on it.
+    facing : whether the surface is turned to that point, whatever is between.
+    """
 
     light: FloatArray
     far: FloatArray
@@ -289,9 +313,15 @@ def seen_by(
     hapke: bool,
     near: npt.NDArray[np.int64] | None = None,
 ) -> Seen:
-    """What rays from a point see; `near` are the rocks that can be among it, all where it is None.
+    """What rays from a point see.
 
-    Unit directions (n, 3) of rays, and to the points of the Sun's disk whose light is asked for.
+    Parameters
+    ----------
+    origin : of all rays. (3,) [m]
+    ways : unit directions of the rays. (n, 3)
+    suns : for each ray, unit direction to the point of the Sun's disk whose light is asked for. (n, 3)
+    hapke : whether the ground scatters by Hapke's law.
+    near : numbers of the rocks that rays can meet, None for all; shadows are cast by all in any case. (k,)
     """
     count = len(ways)
     flags = (np.empty(count, dtype=np.bool_) for _ in range(2))
@@ -303,26 +333,27 @@ def seen_by(
 
 
 def clear(world: World, points: FloatArray, ways: FloatArray, far: FloatArray) -> npt.NDArray[np.bool_]:
-    """Whether nothing is between points and what is `far` along ways from them."""
+    """Whether nothing is between points (n, 3) [m] and what is `far` (n,) [m] along unit `ways` (n, 3). (n,)"""
     free = np.empty(len(points), dtype=np.bool_)
     _free(np.ascontiguousarray(points), np.ascontiguousarray(ways), far, world, free)
     return free
 
 
 @compiled(nogil=True)
-def _look(ways, origin, suns, world, near, hapke, seen):  # type: ignore[no-untyped-def]
+def _look(ways, origin, suns, world, rocks, hapke, seen):  # type: ignore[no-untyped-def]
+    """Fill `seen`, a `Seen` of n rays; `rocks` are rows of `World.rocks` that rays may meet, else as `seen_by`."""
     normal = np.empty(3)
     for n in range(len(ways)):
         way, sun = ways[n], suns[n]
         seen.kind[n], seen.far[n], seen.light[n], seen.lit[n], seen.facing[n] = 0, np.inf, 0.0, False, False
         to_ground = _to_ground(origin, way, world, np.inf)
-        rock, distance = _to_rocks(origin, way, near, to_ground)
+        rock, distance = _to_rocks(origin, way, rocks, to_ground)
         if rock < 0 and not distance < np.inf:
             continue
         point = origin + distance * way
         tint = ROCK_ALBEDO
         if rock >= 0:
-            _rock_normal(point, near[rock], normal)
+            _rock_normal(point, rocks[rock], normal)
         else:
             tint = _ground_normal(point, world, normal)
         seen.kind[n], seen.far[n], seen.light[n] = 2 if rock >= 0 else 1, distance, SKYLIGHT * tint
@@ -337,13 +368,14 @@ def _look(ways, origin, suns, world, near, hapke, seen):  # type: ignore[no-unty
 
 @compiled(nogil=True)
 def _free(points, ways, far, world, free):  # type: ignore[no-untyped-def]
+    """Fill `free` (n,) as `clear` says."""
     for n in range(len(points)):
         free[n] = _is_clear(points[n], ways[n], far[n], world)
 
 
 @compiled(nogil=True)
 def _is_clear(point, way, far, world):  # type: ignore[no-untyped-def]
-    """Whether a ray from just over a surface gets as far as that."""
+    """Whether a ray from `LIFT_M` over a surface's point (3,) along a unit way (3,) meets nothing up to `far` [m]."""
     start = point + LIFT_M * way
     start[2] += LIFT_M
     return _to_ground(start, way, world, far) >= far and _to_rocks(start, way, world.rocks, far)[0] < 0
@@ -351,7 +383,12 @@ def _is_clear(point, way, far, world):  # type: ignore[no-untyped-def]
 
 @compiled(nogil=True)
 def _scattered(mu0, mu, cosine, tint, hapke):  # type: ignore[no-untyped-def]
-    """Radiance factor: of Lommel and Seeliger, w/4 mu0 / (mu0 + mu), or with Hapke's phase function and H."""
+    """Radiance factor: twice that of Lommel and Seeliger, w/4 mu0 / (mu0 + mu), or with Hapke's phase function and H.
+
+    mu0, mu : cosines of incidence and emission, above 0.
+    cosine : of the phase angle.
+    tint : by which the single-scattering albedo w is multiplied. [-]
+    """
     w = SINGLE_SCATTERING * tint
     plain = 0.25 * w * mu0 / (mu0 + mu)
     if not hapke:
@@ -366,7 +403,7 @@ def _scattered(mu0, mu, cosine, tint, hapke):  # type: ignore[no-untyped-def]
 
 @compiled(nogil=True)
 def _ground_normal(point, world, normal):  # type: ignore[no-untyped-def]
-    """Normal between the nodes' normals, and the reflectance."""
+    """Reflectance of the ground at a point (3,) [m]; fills `normal` (3,), between the nodes' normals, of length 1."""
     place, normals, albedo = world.place, world.normals, world.albedo
     x, y = (point[0] - place[0]) / place[2], (point[1] - place[1]) / place[2]
     i = min(max(int(x), 0), normals.shape[1] - 2)
@@ -387,6 +424,7 @@ def _ground_normal(point, world, normal):  # type: ignore[no-untyped-def]
 
 @compiled(nogil=True)
 def _rock_normal(point, rock, normal):  # type: ignore[no-untyped-def]
+    """Fill `normal` (3,), of length 1, of an ellipsoid, a row (8,) of `World.rocks`, at a point (3,) [m] of it."""
     x, y, z = point[0] - rock[0], point[1] - rock[1], point[2] - rock[2]
     along = (x * rock[6] + y * rock[7]) / rock[3] ** 2
     across = (-x * rock[7] + y * rock[6]) / rock[4] ** 2
@@ -400,7 +438,10 @@ def _rock_normal(point, rock, normal):  # type: ignore[no-untyped-def]
 
 @compiled(nogil=True)
 def _to_rocks(origin, way, rocks, limit):  # type: ignore[no-untyped-def]
-    """The first rock that a ray meets before `limit`, -1 for none, and how far it is."""
+    """The first of rocks (n, 8) that a ray meets before `limit` [m], -1 for none, and how far it is [m], else `limit`.
+
+    `origin` (3,) [m]; `way` (3,) of length 1.
+    """
     best, number = limit, -1
     for n in range(len(rocks)):
         rock = rocks[n]
@@ -414,9 +455,9 @@ def _to_rocks(origin, way, rocks, limit):  # type: ignore[no-untyped-def]
         qy = (-way[0] * rock[7] + way[1] * rock[6]) / rock[4]
         qz = way[2] / rock[5]
         a, b = qx * qx + qy * qy + qz * qz, px * qx + py * qy + pz * qz
-        left = b * b - a * (px * px + py * py + pz * pz - 1.0)
-        if left > 0.0:
-            distance = (-b - math.sqrt(left)) / a
+        discriminant = b * b - a * (px * px + py * py + pz * pz - 1.0)
+        if discriminant > 0.0:
+            distance = (-b - math.sqrt(discriminant)) / a
             if 1e-9 < distance < best:
                 best, number = distance, n
     return number, best
@@ -424,7 +465,11 @@ def _to_rocks(origin, way, rocks, limit):  # type: ignore[no-untyped-def]
 
 @compiled(nogil=True)
 def _to_ground(origin, way, world, limit):  # type: ignore[no-untyped-def]
-    """Distance at which a ray meets the ground's triangles, inf where it does not before `limit`."""
+    """Distance at which a ray meets the ground's triangles, inf where it does not before `limit`. [m]
+
+    x, y, i, j count cells; `level` is the power of two of the squares that the ray is in, of which it skips those whose
+    highest corner it flies over.
+    """
     place, peaks, levels = world.place, world.peaks, world.levels
     ny, nx = levels[0, 1], levels[0, 2]
     x, y = (origin[0] - place[0]) / place[2], (origin[1] - place[1]) / place[2]
@@ -471,7 +516,10 @@ def _to_ground(origin, way, world, limit):  # type: ignore[no-untyped-def]
 
 @compiled(nogil=True)
 def _inside(x, dx, count, start, end):  # type: ignore[no-untyped-def]
-    """The part of a ray over 0 to `count`."""
+    """Start and end of the part of a ray, of those between `start` and `end` [m], that is over 0 to `count` cells.
+
+    `x` is where it begins [cells], `dx` how fast it goes [cells/m]. The start is not before the end where none is.
+    """
     if dx == 0.0:
         return (start, end) if 0.0 <= x <= count else (1.0, 0.0)
     first, last = -x / dx, (count - x) / dx
@@ -482,7 +530,12 @@ def _inside(x, dx, count, start, end):  # type: ignore[no-untyped-def]
 
 @compiled(nogil=True)
 def _in_cell(z, dz, u, v, du, dv, start, end, heights, i, j):  # type: ignore[no-untyped-def]
-    """Where a ray meets one of a cell's two triangles between `start` and `end`; inf for nowhere."""
+    """Distance at which a ray meets one of a cell's two triangles between `start` and `end`; inf for nowhere. [m]
+
+    z, dz : height at distance 0 [m], and its change by distance [-].
+    u, v, du, dv : the same of the place in the cell. [cells, cells/m]
+    i, j : column and row of the cell.
+    """
     h00, h10, h01, h11 = heights[j, i], heights[j, i + 1], heights[j + 1, i], heights[j + 1, i + 1]
     slack = 1e-9 * (1.0 + abs(end))
     best = np.inf
@@ -505,9 +558,12 @@ def _in_cell(z, dz, u, v, du, dv, start, end, heights, i, j):  # type: ignore[no
 class PixelTruth(NamedTuple):
     """What a picture shows, pixel by pixel of the left camera.
 
-    `points_m` (h, w, 3) where the middle of a pixel looks, in the world, NaN in the sky [m]; `kind` (h, w) 0 sky, 1
-    ground, 2 rock; `lit` (h, w) share of the Sun's disk that reaches it; `seen` (h, w) whether the right camera sees
-    it.
+    Attributes
+    ----------
+    points_m : where the middle of a pixel looks, in the world, NaN in the sky. (h, w, 3) [m]
+    kind : 0 sky, 1 ground, 2 rock. (h, w)
+    lit : share of the Sun's disk that reaches it, in fifths. (h, w) [-]
+    seen : whether the right camera sees it. (h, w)
     """
 
     points_m: FloatArray
@@ -518,7 +574,15 @@ class PixelTruth(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RenderedPair:
-    """Two SYNTHETIC pictures (h, w), the rig and poses they were really taken with, and the truth of the left one."""
+    """Two SYNTHETIC pictures, and how they were really taken.
+
+    Attributes
+    ----------
+    left, right : in the numbers of the rig's sensor. (h, w)
+    rig : that they were taken with: a draw from the covariance of the given one, or that itself.
+    left_pose, right_pose : of its cameras in the world.
+    truth : about each pixel of the left picture.
+    """
 
     left: npt.NDArray[np.uint16]
     right: npt.NDArray[np.uint16]
@@ -591,7 +655,11 @@ def _light(
     random: np.random.Generator,
     report: Callable[[int, int], None],
 ) -> FloatArray:
-    """Radiance factor of each pixel through lens and pixel. (h, w)"""
+    """Radiance factor of each pixel through lens and pixel. (h, w) [-]
+
+    blur_px : standard deviation of the lens's blur. [px]
+    samples : rays along each side of a pixel.
+    """
     width, height = camera.size
     fine = np.empty((height * samples, width * samples))
     across = (np.arange(width * samples) + 0.5) / samples - 0.5
@@ -615,7 +683,7 @@ def _light(
 
 
 def _rocks_in(world: World, camera: Camera, pose: Pose, first: float, last: float) -> npt.NDArray[np.int64]:
-    """Numbers of the rocks that may show between two rows; all where a lens bends too much to say."""
+    """Numbers (k,) of the rocks that may show between two rows [px]; all where a lens bends too much to say."""
     middle = pose.to_camera(world.rocks[:, :3])
     reach = world.rocks[:, 3:6].max(axis=1, initial=0.0)
     depth = np.maximum(middle[:, 2], 1e-9)
@@ -638,7 +706,10 @@ def _disk(sun: FloatArray, uniform: FloatArray) -> FloatArray:
 def _numbers(
     light: FloatArray, camera: Camera, rig: StereoRig, gain: float, random: np.random.Generator, noise: bool
 ) -> npt.NDArray[np.uint16]:
-    """Numbers of a sensor: vignetting by the fourth power of the cosine, electrons, rounding."""
+    """Numbers of a sensor: vignetting by the fourth power of the cosine, electrons, rounding. (h, w)
+
+    `light` is the radiance factor (h, w), `gain` the electrons for one of 1.
+    """
     sensor = rig.sensor
     rays = camera.rays(np.stack(np.meshgrid(*(np.arange(n, dtype=float) for n in camera.size)), axis=-1))
     electrons = light * gain / np.linalg.norm(rays, axis=-1) ** 4
@@ -650,6 +721,7 @@ def _numbers(
 
 
 def _truth(world: World, landscape: Landscape, rig: StereoRig, poses: tuple[Pose, Pose]) -> PixelTruth:
+    """The truth of the left picture, by rays through the middles of its pixels; `poses` are of both cameras."""
     width, height = rig.left.size
     pixels = np.stack(np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float)), axis=-1)
     ways = rig.left.rays(pixels.reshape(-1, 2)) @ poses[0].rotation.T

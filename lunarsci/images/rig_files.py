@@ -61,6 +61,7 @@ _SIDE = re.compile(r"^Camera([12])\.(\w+)$")
 
 
 METRES: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+"""Metres of a unit."""
 USUAL_BASELINE_M = 0.2
 """Of stereo rigs on rovers: 0.1 m (hazard cameras) to 0.42 m (Maki et al. 2003, 10.1029/2003JE002077). [m]"""
 BROWN = ("k1", "k2", "p1", "p2", "k3")
@@ -80,11 +81,13 @@ NAMES: Mapping[str, tuple[str, ...]] = {
 """What is read of a camera, by names in small letters without what is between them."""
 TURN = ("r", "rotation", "rotationmatrix", "rot", "rmat")
 SHIFT = ("t", "translation", "translationvector", "trans", "tvec", "transvector")
+"""Names of the rotation and of the translation from one camera to the other, in small letters."""
 SIDES = (("1", "left", "l"), ("2", "right", "r"))
 """What names of a file of two cameras begin or end with."""
 ONE_BY_ONE = (("fx",), ("fy",), ("cx", "ppx"), ("cy", "ppy"))
-"""Intrinsics that are told by a key each, as by ORB-SLAM's settings."""
+"""Intrinsics that have a key each, as in ORB-SLAM's settings."""
 FISHEYE = ("equidistant", "fisheye", "equi", "kannalabrandt4")
+"""Names of the fish-eye model of OpenCV, in small letters."""
 KEYS = re.compile(
     r"^[ \t]*[\"']?(?:[\w.]*(?:camera|intrinsic|distort|opencv)\w*|[\w.]*f[xy]|[kmtrd][12]?|T_cn_cnm1|T_BS)[\"']?"
     r"[ \t]*:",
@@ -97,7 +100,9 @@ STATED = "errors: a file of this kind states none"
 CAMERA_FORM = "a camera has image_width, image_height, camera_matrix and distortion_coefficients"
 ONE_CAMERA = "is one camera; a rig needs two"
 SENSOR = ("bits", "full_well_e", "read_noise_e", "mtf_at_nyquist")
+"""Keys of the table of a `Sensor`."""
 SIGMA_GROUPS = {"rotation_rad": RELATIVE[:3], "translation_m": RELATIVE[3:]}
+"""Keys of errors that stand for three parameters of a rig each."""
 FORM = (
     "give [left] and [right] (width_px, height_px, fx_px, fy_px, cx_px, cy_px, k1, k2, k3, p1, p2) and [relative] "
     "(rotation_rad, translation_m), or width_px, height_px, focal_px and baseline_m of two equal cameras side by side"
@@ -239,7 +244,11 @@ class WrittenCamera:
 
 
 class _Way(NamedTuple):
-    """From one camera's frame to another one's: a rotation (3, 3), a translation (3,), and its unit if one is sure."""
+    """From one camera's frame to another one's.
+
+    rotation, translation : X_other = rotation X_one + translation. (3, 3), (3,) [unit]
+    unit : of the translation, None where the file does not say.
+    """
 
     rotation: FloatArray
     translation: FloatArray
@@ -253,12 +262,17 @@ class _Way(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _LensModel(CahvModel):
-    """A camera at the origin with a lens of OpenCV that is not Brown's: rational, thin prism, or fish-eye."""
+    """A camera at the origin with a lens of OpenCV that is not Brown's: rational, thin prism, or fish-eye.
+
+    lens : terms of its distortion, in the order of OpenCV. [-]
+    fisheye : whether they are those of the fish-eye model.
+    """
 
     lens: FloatArray
     fisheye: bool
 
     def project(self, points: FloatArray) -> FloatArray:
+        """Pixels (n, 2) of points (n, 3)."""
         cv2, matrix = open_cv(), np.stack([self.vectors[name] for name in "HVA"])
         lens = cv2.fisheye.projectPoints if self.fisheye else cv2.projectPoints
         return np.asarray(lens(points.reshape(-1, 1, 3), np.zeros(3), np.zeros(3), matrix, self.lens)[0])[:, 0]
@@ -510,7 +524,14 @@ def _read_from(name: str, form: str) -> Iterator[None]:
 
 
 class SingleCamera(NamedTuple):
-    """A camera alone, with the covariance of its intrinsics (9, 9), and where its numbers are from."""
+    """A camera alone.
+
+    Attributes
+    ----------
+    camera : with its distortion.
+    covariance : of its `INTRINSICS`. (9, 9)
+    source : where its numbers are from.
+    """
 
     camera: Camera
     covariance: FloatArray
@@ -667,6 +688,7 @@ def camera_text(camera: Camera, covariance: FloatArray, *, name: str, source: st
 
 
 def _covariance_lines(names: Sequence[str], covariance: FloatArray) -> list[str]:
+    """Of a TOML file, with the names of rows and columns as a remark."""
     rows = [f"  [{_numbers(row)}]," for row in covariance]
     return [f"# rows and columns: {', '.join(names)}", "covariance = [", *rows, "]"]
 

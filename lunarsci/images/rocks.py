@@ -33,13 +33,20 @@ LEAST = 3.5
 GROUND_SHARE = 2.5
 """Scale of the ground that rocks stand out of, in diameters of the largest rock; assumed."""
 ERROR_CLASSES = 8
-"""Classes of errors from which relief and errors are told apart; assumed."""
+"""Classes of errors by which relief and errors are separated; assumed."""
 TRIALS = 60
 """Rocks of a size put in at a time: their share is known to 0.5 / sqrt(60) = 0.06 or better."""
 
 
 class Peaks(NamedTuple):
-    """Nodes (n,) at which something stands out, by how many standard errors, and at which scale [m]."""
+    """Nodes at which something stands out. (n,) each
+
+    Attributes
+    ----------
+    rows, columns : of the nodes in the grid: y and x.
+    significance : height over the ground in standard errors, the largest over the scales. [-]
+    scale_m : one of `SCALES_M`, at which it is the largest. [m]
+    """
 
     rows: IndexArray
     columns: IndexArray
@@ -53,9 +60,15 @@ class Peaks(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DetectedRock:
-    """One rock: its middle, diameter and height with errors, and what to keep away from. [m]
+    """One rock, with what to keep away from.
 
-    `significance` is in standard errors, `keepout_m` the radius about the middle.
+    Attributes
+    ----------
+    x_m, y_m : its middle. [m]
+    diameter_m, diameter_m_sigma : at the ground, from its area at half its height, and the standard error. [m]
+    height_m, height_m_sigma : of its top over the ground, without the blur of matching, and the standard error. [m]
+    significance : height over its standard error, at the scale at which that is largest. [-]
+    keepout_m : radius about the middle in which no wheel should go. [m]
     """
 
     x_m: float
@@ -72,7 +85,13 @@ class DetectedRock:
 class Completeness:
     """Share of rocks of a diameter that are found where the random error of a node lies in a range.
 
-    `share_low`, `share_high` end the interval of 68 % (Wilson 1927, 10.1080/01621459.1927.10502953).
+    Attributes
+    ----------
+    diameter_m, height_m : of the rocks that were put in for trial. [m]
+    sigma_from_m, sigma_to_m : ends of that range; NaN where the heights state no errors. [m]
+    trials : how many rocks were put in.
+    share : of these, those that were found again. [-]
+    share_low, share_high : ends of the interval of 68 % (Wilson 1927, 10.1080/01621459.1927.10502953). [-]
     """
 
     diameter_m: float
@@ -92,8 +111,8 @@ class RockSurvey:
     Attributes
     ----------
     rocks : the highest significance first.
-    threshold : significance from which something is a rock.
-    false_share : expected share of false ones, from the search upside down.
+    threshold : significance from which something is a rock, in standard errors. [-]
+    false_share : expected share of false ones, from the search upside down. [-]
     completeness : by diameter and error of the heights.
     above_m : height over the ground. (ny, nx) [m]
     """
@@ -154,7 +173,10 @@ def height_over_ground(model: ElevationModel, largest_m: float) -> FloatArray:
 
 
 def _peaks(model: ElevationModel, above: FloatArray, largest_m: float, least: float) -> Peaks:
-    """Nodes that stand out most among those within their own scale."""
+    """Nodes that stand out most among those within their own scale, by `least` standard errors, the surest first.
+
+    `above` is the height over the ground (ny, nx) [m], as in what follows.
+    """
     significance, scale = _standing_out(model, above, largest_m)
     alone = max(3, round(0.06 / model.spacing_m)) | 1
     rows, columns = np.nonzero((significance >= least) & (significance == maximum_filter(significance, alone)))
@@ -165,7 +187,10 @@ def _peaks(model: ElevationModel, above: FloatArray, largest_m: float, least: fl
 
 
 def _apart(rows: IndexArray, columns: IndexArray, reach: FloatArray, most: float = math.inf) -> list[int]:
-    """Numbers of the nodes that lie beyond the reach of all those taken before them, and these beyond theirs."""
+    """Numbers of the nodes that lie beyond the reach of all those taken before them, and these beyond theirs.
+
+    Rows, columns and reach (n,) are in nodes; at most `most` are taken.
+    """
     chosen: list[int] = []
     for k in range(len(rows)):
         away = np.hypot(rows[chosen] - rows[k], columns[chosen] - columns[k])
@@ -199,7 +224,8 @@ def _standing_out(model: ElevationModel, above: FloatArray, largest_m: float) ->
 
 
 def _scatter(values: FloatArray, error: FloatArray) -> tuple[float, float]:
-    """The part of the scatter of values (n,) that is the same everywhere, and what there is of it for each error."""
+    """The part of the scatter of values (n,) that is the same everywhere, in their unit, and the factor by which errors
+    (n,) add to it [-]."""
     from scipy.optimize import nnls
 
     classes = np.searchsorted(np.quantile(error, np.linspace(0, 1, ERROR_CLASSES + 1)[1:-1]), error)
@@ -221,7 +247,8 @@ def _alone(decoys: Peaks, finds: Peaks, spacing_m: float) -> Peaks:
 def _threshold(true: FloatArray, false: FloatArray, false_share: float) -> tuple[float, float]:
     """Least significance at which at most such a share of the finds is false, and that share.
 
-    The number of false ones is that of the search upside down, and half a one more.
+    `true` are the significances of the finds (n,), `false` those of the search upside down (m,). The number of false
+    ones is that of the search upside down, and half a one more.
     """
     for level in np.sort(np.append(true, LEAST)):
         finds, decoys = int((true >= level).sum()), int((false >= level).sum())
@@ -244,7 +271,7 @@ def _rocks_of(model: ElevationModel, above: FloatArray, peaks: Peaks) -> tuple[P
 
 
 def _measured(model: ElevationModel, above: FloatArray, peaks: Peaks, number: int) -> DetectedRock:
-    """Middle, diameter and height of what stands out at a node."""
+    """Middle, diameter and height of what stands out at the node of a peak, by its `number`."""
     row, column, z = int(peaks.rows[number]), int(peaks.columns[number]), float(peaks.significance[number])
     inner, outer = (share * max(float(peaks.scale_m[number]), 0.05) / model.spacing_m for share in AROUND)
     reach = math.ceil(outer) + 1

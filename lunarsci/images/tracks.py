@@ -29,14 +29,23 @@ RESOLUTION_OFF = 0.3
 CLEAR = 3.0
 """Standard errors by which a track must stand out where its middle is looked for; assumed."""
 FEWEST_SHAMS = 8
+"""Depths measured where no track is, below which nothing is concluded from them; assumed."""
 CELL_SHARE = 0.3
 """Side of the cells whose mean heights stand for the ground, as a share of the wheel's width; assumed."""
 PRIOR_SHAMS = 4.0
-"""Weight of the stated error beside shams, as so many of them; assumed."""
+"""Weight of the stated error beside shams (depths measured where no track is), as so many of them; assumed."""
 
 
 class Unrolled(NamedTuple):
-    """Nodes about a line, by their way along it and their distance to the left of it, in the order of the way. (n,)"""
+    """Nodes about a line, in the order of their way along it. (n,) each
+
+    Attributes
+    ----------
+    along : way along the line; below 0 and beyond its length where a node lies before or behind it. [m]
+    across : distance to the left of the line, negative to the right. [m]
+    height : of the node. [m]
+    sigma : its random error, NaN where it is not known. [m]
+    """
 
     along: FloatArray
     across: FloatArray
@@ -44,7 +53,7 @@ class Unrolled(NamedTuple):
     sigma: FloatArray
 
     def between(self, low_m: float, high_m: float) -> "Unrolled":
-        """Nodes from one place along the line to another."""
+        """Nodes from one way along the line to below another."""
         return self.only(slice(*np.searchsorted(self.along, (low_m, high_m))))
 
     def only(self, part: slice | BoolArray | IndexArray) -> "Unrolled":
@@ -80,6 +89,7 @@ def read_line(given: str) -> FloatArray:
 
 
 def _line_strings(content: Any) -> Iterator[Any]:
+    """Coordinates of each LineString in parsed GeoJSON, at any depth."""
     if isinstance(content, dict):
         if content.get("type") == "LineString":
             yield content.get("coordinates", [])
@@ -91,7 +101,7 @@ def _line_strings(content: Any) -> Iterator[Any]:
 
 
 def places_on(line: FloatArray, along: FloatArray, left: FloatArray) -> FloatArray:
-    """Points by their way along a line and their distance to the left of it. (n, 2) [m]"""
+    """Points (n, 2) by their way along a line of corners (k, 2) and their distance to the left of it, (n,) each. [m]"""
     way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1)))
     segment = np.clip(np.searchsorted(way, along, side="right") - 1, 0, len(line) - 2)
     direction = np.diff(line, axis=0)[segment] / np.diff(way)[segment, None]
@@ -128,6 +138,11 @@ class GroundShape:
     """How alike ground is: half the mean squared difference of two heights is `amplitude_m2` (d / 1 m)^(2 `exponent`).
 
     A power law, as of fractal ground (Shepard et al. 2001, 10.1029/2000JE001429).
+
+    Attributes
+    ----------
+    amplitude_m2 : of heights a metre apart. [m2]
+    exponent : Hurst's, 0.4 to 0.95. [-]
     """
 
     amplitude_m2: float
@@ -156,7 +171,8 @@ class GroundShape:
 
 
 def _raster(nodes: Unrolled, cell_m: float) -> tuple[FloatArray, float]:
-    """Cells by way and distance to the left less their plane, NaN where empty, and the variance of their noise."""
+    """Heights of cells (along, across) less the plane through the nodes, NaN where empty [m], and median variance of a
+    node's random error [m2]."""
     rows, columns = (np.floor((v - v.min()) / cell_m).astype(int) for v in (nodes.along, nodes.across))
     shape = int(rows.max()) + 1, int(columns.max()) + 1
     key = rows * shape[1] + columns
@@ -170,7 +186,15 @@ def _raster(nodes: Unrolled, cell_m: float) -> tuple[FloatArray, float]:
 
 
 class Cells(NamedTuple):
-    """Means of nodes by cell: (n, 2) places along and across, heights, standard errors, nodes in each. (n,)"""
+    """Means of the nodes in n cells.
+
+    Attributes
+    ----------
+    place : way along the line and distance to the left of it. (n, 2) [m]
+    height : of the ground. (n,) [m]
+    sigma : standard error of this mean. (n,) [m]
+    nodes : how many are in the cell. (n,)
+    """
 
     place: FloatArray
     height: FloatArray
@@ -179,6 +203,7 @@ class Cells(NamedTuple):
 
 
 def cells_of(nodes: Unrolled, chosen: BoolArray, cell_m: float, alike: float) -> Cells:
+    """Means of the chosen nodes over cells of `cell_m` along and across; `alike` nodes have one error in common."""
     along, across = nodes.along[chosen], nodes.across[chosen]
     key = np.floor(along / cell_m).astype(int) * 100_003 + np.floor(across / cell_m).astype(int)
     _, group = np.unique(key, return_inverse=True)
@@ -194,7 +219,7 @@ def kriged(
     """Mean height of the undisturbed ground over places (m, 2) from cells beside them, and its variance. [m], [m2]
 
     Universal kriging (Matheron 1969; Cressie 1993, 10.1002/9781119115151): a plane, or a bent one, and ground that is
-    alike nearby. The noise of cells within the resolution hangs together.
+    alike nearby. The noise of cells within the resolution is correlated. `order` is that of the polynomial across.
     """
     place, size = cells.place, len(cells.height)
     shift = place[:, None] - place
@@ -230,7 +255,7 @@ class TrackProfile:
     width_m : of the wheel, > 0. [m]
     gap_m : between the wheel's edge and the ground that is taken as undisturbed: walls and berms. [m]
     strip_m : width of that ground at each side. [m]
-    floor_share : share of the wheel's width that is floor.
+    floor_share : share of the wheel's width that is floor. [-]
     order : of the polynomial across the ground: 1 is a plane, 2 bends.
     """
 
@@ -273,12 +298,14 @@ class TrackDepths:
     distance_m, x_m, y_m : way along the line, and places on the middle of the track. (n,) [m]
     rut_m : mean depth of the floor below the undisturbed ground. (n,) [m]
     rut_m_random : what averages: nodes, and the ground's own shape under the track. (n,) [m]
-    systematic_m : by cause, what places share; None where nothing is known of it. (n,) [m]
+    systematic_m : by cause, what places share, one standard error; None where nothing is known of it. (n,) [m]
+        Causes are `ground`, `floor`, `resolution` and `disparity`; the last alone where nothing is determined.
     reason : why nothing is determined, empty where it is. (n,)
     offset_m : of the track's middle to the left of the line. (n,) [m]
-    mean_m, mean_random_m : over the line. [m]
-    ground_scatter_m : rms of the same measurement on ground without a track, None where there is too little. [m]
-    shams : how many of those there are.
+    mean_m, mean_random_m : mean of the depths that are determined, and its random error. [m]
+    ground_scatter_m : robust scatter about 0 of the same measurement on ground without a track; None where there is
+        too little such ground. [m]
+    shams : how many of these measurements there are.
     """
 
     distance_m: FloatArray
@@ -296,7 +323,7 @@ class TrackDepths:
 
     @property
     def rut_m_systematic(self) -> FloatArray:
-        """All causes together. (n,) [m]"""
+        """Root sum of squares of all causes. (n,) [m]"""
         parts = [values for values in self.systematic_m.values() if values is not None]
         return np.asarray(np.sqrt(np.sum(np.square(parts), axis=0))) if parts else np.zeros_like(self.rut_m)
 
@@ -307,16 +334,20 @@ class TrackDepths:
 
 
 def _one_depth(survey: "_Survey", nodes: Unrolled, middle: float, profile: TrackProfile) -> tuple[float, float, str]:
-    """Depth, its error, and why there is none, of one window of the track."""
+    """Depth of one window of the track, its random error, and why there is none. [m], [m]
+
+    nodes : those of the window, with errors.
+    middle : distance of the track's middle to the left of the line. [m]
+    """
     left = nodes.across - middle
     inner, outer = profile.ground_m
     floor = np.abs(left) <= profile.floor_m
     sides = [(sign * left >= inner) & (sign * left <= outer) for sign in (-1.0, 1.0)]
-    whole = survey.window_m / survey.model.spacing_m**2
-    if floor.sum() < COVERED[0] * whole * 2 * profile.floor_m:
+    nodes_per_m = survey.window_m / survey.model.spacing_m**2
+    if floor.sum() < COVERED[0] * nodes_per_m * 2 * profile.floor_m:
         return np.nan, np.nan, "floor not covered"
     for side, name in zip(sides, ("right", "left"), strict=True):
-        if side.sum() < COVERED[1] * whole * profile.strip_m:
+        if side.sum() < COVERED[1] * nodes_per_m * profile.strip_m:
             return np.nan, np.nan, f"ground to the {name} not covered"
     alike = max(1.0, (survey.resolution_m / survey.model.spacing_m) ** 2)
     cells = cells_of(nodes, sides[0] | sides[1], survey.cell_m, alike)
@@ -345,7 +376,18 @@ def _one_depth(survey: "_Survey", nodes: Unrolled, middle: float, profile: Track
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Survey:
-    """An elevation model along a line, and how windows are laid."""
+    """An elevation model along a line, and how windows are laid.
+
+    Attributes
+    ----------
+    model : the heights.
+    nodes : those about the line, with errors.
+    centers : way along the line of the windows' middles, evenly spaced. (n,) [m]
+    window_m : length of a window along the line. [m]
+    resolution_m : median along the line of the width over which matching averages heights. [m]
+    cell_m : side of the cells whose means stand for the ground. [m]
+    shape : how alike the ground beside the track is.
+    """
 
     model: ElevationModel
     nodes: Unrolled
@@ -361,7 +403,10 @@ class _Survey:
         return float(self.centers[1] - self.centers[0]) if len(self.centers) > 1 else self.window_m
 
     def depths(self, middles: FloatArray, profile: TrackProfile) -> tuple[FloatArray, FloatArray, list[str]]:
-        """Depths, their errors, and reasons, with the track's middle at these distances from the line."""
+        """Depths, their random errors, and reasons, with the track's middle so far to the left of the line.
+
+        `middles` (n,), as the windows; depths and errors are NaN where there is a reason. (n,) each [m], [m]
+        """
         half = 0.5 * self.window_m
         depth, error, reason = zip(
             *(
@@ -393,7 +438,10 @@ def track_middles(survey: _Survey, profile: TrackProfile, search_m: float, lengt
 
 
 def _stretch_middle(part: Unrolled, profile: TrackProfile, steps: FloatArray) -> float:
-    """Where a box of the wheel's width explains most of the profile, NaN where it does not stand out."""
+    """Where a box of the wheel's width explains most of the profile, NaN where it does not stand out. [m]
+
+    `part` are the nodes of a stretch, `steps` (k,) the tried distances to the left of the line, evenly spaced. [m]
+    """
     searched = float(np.abs(steps).max())
     part = part.only(np.abs(part.across) <= profile.ground_m[1] + searched)
     outside = np.abs(part.across) > 0.5 * profile.width_m + searched
@@ -414,7 +462,9 @@ def _stretch_middle(part: Unrolled, profile: TrackProfile, steps: FloatArray) ->
 
 
 def _misfit(left: FloatArray, rest: FloatArray, width_m: float) -> tuple[float, float]:
-    """Mean square that a straight floor of the wheel's width in flat ground leaves, and its depth there.
+    """Mean square that a straight floor of the wheel's width in flat ground leaves, and its depth. [m2], [m]
+
+    `left` is the distance of nodes to the left of the floor's middle, `rest` their height over the ground. (n,) [m]
 
     The floor may be tilted: on a slope its two sides are not equally deep, which is no reason to shift it.
     """
@@ -475,6 +525,7 @@ def _measured(
     disparity_bias_px: float,
     progress: Callable[[int, int], None],
 ) -> TrackDepths:
+    """Depths with all their errors; the last four arguments as of `track_depths`."""
     length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
     middles = track_middles(survey, profile, search_m, length) if search_m > 0 else np.zeros_like(survey.centers)
     gain = profile.gain(survey.resolution_m)
@@ -512,7 +563,10 @@ def _measured(
 
 
 def _shams(survey: _Survey, profile: TrackProfile, middles: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The same measurement and its error beside the track, where neither floor nor ground touch it. (k, n), (k, n)"""
+    """The same measurement beside the track, where neither floor nor ground touch it, and its errors. (k, n) each [m]
+
+    Depths of a track that is not there are sham depths: what they scatter by is error.
+    """
     inner, outer = profile.ground_m
     first = inner + outer
     aside = [sign * (first + more) for more in (0.0, profile.width_m) for sign in (-1.0, 1.0)]
@@ -521,7 +575,8 @@ def _shams(survey: _Survey, profile: TrackProfile, middles: FloatArray) -> tuple
 
 
 def _as_shams(survey: _Survey, shams: FloatArray, errors: FloatArray) -> tuple[float | None, float]:
-    """Robust scatter of shams about zero, and by what the stated errors are multiplied to be what shams show."""
+    """Robust scatter of sham depths (k, n) about 0 [m], None where they are few, and the factor by which the stated
+    errors become those that shams show [-]."""
     valid = np.isfinite(shams)
     if valid.sum() < FEWEST_SHAMS:
         return None, 1.0
@@ -532,7 +587,10 @@ def _as_shams(survey: _Survey, shams: FloatArray, errors: FloatArray) -> tuple[f
 
 
 def _mean_error(survey: _Survey, random: FloatArray, shams: FloatArray) -> float:
-    """Random error of the mean over the line: windows overlap, and the ground is alike from one to the next."""
+    """Random error of the mean over the line: windows overlap, and the ground is alike from one to the next. [m]
+
+    `random` are the errors of the depths that are determined (n,) [m], `shams` sham depths (k, n) [m].
+    """
     count = len(random)
     if not count or not np.isfinite(random).any():
         return math.nan

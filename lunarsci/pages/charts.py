@@ -29,11 +29,20 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_SPECTRA, MOST_BARS, MOST_USED = 6, 18, 5.0
+"""Spectra and bars that a chart has at most, and the largest share of a limit that is drawn, in limits; assumed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """A picture, what it is called, and what it shows in words."""
+    """A picture of the page.
+
+    Attributes
+    ----------
+    title : what it is called.
+    words : what it shows, for those who do not see it.
+    content : of its file.
+    suffix : of its file.
+    """
 
     title: str
     words: str
@@ -55,6 +64,7 @@ Drawn: TypeAlias = "tuple[str, str, Figure] | None"
 
 
 WIDTH_IN = 4.6
+"""Width of charts. [in]"""
 
 
 def _axes(height: float = 3.3) -> "tuple[Figure, Any]":

@@ -79,7 +79,13 @@ class Document:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GivenPicture:
-    """A picture that was given beside the results."""
+    """A picture that was given beside the results.
+
+    Attributes
+    ----------
+    name : of its file.
+    content : of its file.
+    """
 
     name: str
     content: bytes

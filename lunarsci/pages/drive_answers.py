@@ -499,6 +499,7 @@ def reproduced(result: Result) -> ResultAnswer:
 
 
 SYMBOLS = {"-": "", "deg": "°"}
+"""Units that are written otherwise in a sentence."""
 
 
 @answers("The demonstration", "demo")

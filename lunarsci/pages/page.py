@@ -20,12 +20,21 @@ from lunarsci.printable import printable
 from lunarsci.provenance import installed_version
 
 MARKS = {GO: "Go", STOP: "No-go", DOUBT: "Not to be trusted as it is"}
+"""Words in front of an answer, by its tone."""
 MIME = {".png": "image/png", ".svg": "image/svg+xml"}
+"""Types of pictures, by the endings of their files."""
 
 
 @dataclass(frozen=True, slots=True)
 class PagePicture:
-    """A picture as the page has it: a data address, a title, and what it shows in words."""
+    """A picture as the page has it.
+
+    Attributes
+    ----------
+    source : its content as a data address.
+    title : what it is called.
+    words : what it shows, for those who do not see it.
+    """
 
     source: str
     title: str
@@ -34,7 +43,21 @@ class PagePicture:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Section:
-    """One result on the page; of a plot that is `cut` so many pages are shown, 0 where all are."""
+    """One result on the page.
+
+    Attributes
+    ----------
+    title : what it is called.
+    answer : sentences of what was found, and whether they may be trusted.
+    pictures : charts of the page, then the pages of the command's plot.
+    cut : pages of that plot that are shown, where it has more; 0 where all are.
+    tables : its numbers.
+    budget : parts of their errors, None where none is stated.
+    assumed, unknown : what was taken as given, and what the answer does not know, a line each.
+    provenance : what it was made from.
+    made_up : whether something in it is synthetic.
+    alone : what single states say, apart from a soil of all together; None for any other result.
+    """
 
     title: str
     answer: ResultAnswer
@@ -83,6 +106,7 @@ class Page:
     pictures : that were given beside them.
     ground : that can be turned, None where no terrain is known.
     ways : lines on the ground beside those that the results have.
+    answers : of the documents, in their order; they follow from these.
     """
 
     title: str

@@ -56,7 +56,9 @@ WITHIN = {
 MANY = ("spectra", "rocks", "observations", "track", "stations", "designs", "drives", "soils", "numbers", "layers")
 """Lists that may be long; of others all are taken, up to `LONGEST`."""
 LONGEST = 40
+"""Entries of a list that are taken, where it is none of `MANY`."""
 REFUSED = "not to be used"
+"""Stands for a value that its command shows none of."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +86,10 @@ class Quantity:
 
 
 def quantities(record: Mapping[str, Any], of: tuple[str, ...] = (), most: int | None = None) -> Iterator[Quantity]:
-    """All of them, in their order; of lists of objects those of one, or the first `most`."""
+    """All quantities of a record, in their order; of lists of objects those of one, or the first `most`.
+
+    `of` are the keys that lead to the record.
+    """
     spent = _keys_of_parts(record)
     named = next((key for key in VALUES if _is_number(record.get(key))), "")
     shared = doubt_about(record) if "in_domain" in record else ""
@@ -187,23 +192,35 @@ FIRST = (
 SAYS = ("best", "sure", "open", "status")
 """Columns of what a result says of each thing in a table, before its numbers."""
 STANDARD_ERROR = PARTS["sigma"]
+"""The part of an error that is all of it."""
 OF_ONE = ("caveat", "reason")
+"""Notes that are of the one quantity of their object, whose name they get on the page."""
 NOTED = {"band1000_note": "1 µm band", "band2000_note": "2 µm band"}
+"""Further keys with notes, and what each is of."""
 SILENT = ("ok", "converged", "", "nothing")
+"""Notes that say nothing to be read."""
 SINGLE_STATES = ("agreement", "bearing", "draws", "lateral", "observations", "reading", "sensitivity", "shear")
 """Keys of `regolith infer` that are of each state by itself; what these assume, its answer does not."""
 AGREEMENT = "whether states solved so agree: a test of what is assumed here, not of the answer"
 MOST_ASSUMED = 6
 """Values of a rover that are listed one by one."""
 MOST_CHOICES = 6
-"""Spectra of which what is open is told one by one."""
+"""Spectra of which what is open is stated one by one."""
 MOST_ROWS, MOST_LINES, MOST_COLUMNS, MOST_NAMED = 48, 40, 12, 5
 """Of a table, of a list, across, and of names in a line, on the page; the files hold all."""
 
 
 @dataclass(frozen=True, slots=True)
 class PageTable:
-    """A table of ready-made cells; `note` is a line below it."""
+    """A table of ready-made cells.
+
+    Attributes
+    ----------
+    title : what it is called, '' for none.
+    headers : of its columns.
+    rows : of cells, as many as headers.
+    note : a line below it.
+    """
 
     title: str
     headers: Sequence[str]
@@ -213,7 +230,14 @@ class PageTable:
 
 @dataclass(frozen=True, slots=True)
 class PagePart:
-    """Tables under a heading of their own, and what they should be read with."""
+    """Tables under a heading of their own.
+
+    Attributes
+    ----------
+    title : the heading.
+    remarks : what they should be read with, a line each.
+    tables : the tables.
+    """
 
     title: str
     remarks: Sequence[str]
@@ -472,7 +496,7 @@ def _line(names: Sequence[str], text: str) -> str:
 
 
 def _notes_in(value: Any, name: str = "", one_of_many: bool = False) -> Iterator[tuple[str, str]]:
-    """Texts of a result, and of a caveat or a reason what it is of; what is refused is told with its value."""
+    """Texts of a result, and of a caveat or a reason what it is of; what is refused is stated with its value."""
     if isinstance(value, list):
         for item in value[:MOST_ROWS]:
             yield from _notes_in(item, name, len(value) > 1)

@@ -49,7 +49,15 @@ class Ground(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Line:
-    """A way on the ground. `xy_m` (n, 2), the name of a group, its colour and whether it is dashed."""
+    """A way on the ground.
+
+    Attributes
+    ----------
+    name : of its group in the legend.
+    xy_m : places along it. (n, 2) [m]
+    color : as matplotlib and the page know it.
+    dashed : whether it is drawn so.
+    """
 
     name: str
     xy_m: FloatArray
@@ -103,10 +111,12 @@ def _places(rows: Sequence[Mapping[str, str]]) -> list[FloatArray]:
 
 
 def _spread(count: int, most: int) -> list[int]:
+    """Numbers from 0 to below `count`, all or `most` of them, evenly spread."""
     return [int(k) for k in np.unique(np.linspace(0, count - 1, min(count, most)).round())] if count else []
 
 
 def _thinned(places: FloatArray) -> FloatArray:
+    """As many places (n, 2) of a way as a page takes, evenly over it, its ends included."""
     return places[_spread(len(places), MOST_POINTS)]
 
 
@@ -136,30 +146,33 @@ def relief(grid: Ground, lines: Sequence[Line]) -> GroundView:
 
 
 def _window(grid: Ground, lines: Sequence[Line]) -> tuple[Any, Any]:
-    """Rows and columns about the lines."""
+    """Numbers of the rows and of the columns about the lines, at least 3 each; all where there would be fewer."""
     sizes = grid.height_m.shape
-    whole = np.arange(sizes[0]), np.arange(sizes[1])
+    every = np.arange(sizes[0]), np.arange(sizes[1])
     if not lines:
-        return whole
+        return every
     points = np.vstack([line.xy_m for line in lines])
     origin = (grid.x0_m, grid.y0_m)
     inside = [
         number[(at >= low - MARGIN_M) & (at <= high + MARGIN_M)]
         for number, at, low, high in (
             (
-                whole[1 - axis],
-                origin[axis] + whole[1 - axis] * grid.spacing_m,
+                every[1 - axis],
+                origin[axis] + every[1 - axis] * grid.spacing_m,
                 points[:, axis].min(),
                 points[:, axis].max(),
             )
             for axis in (1, 0)
         )
     ]
-    return (inside[0], inside[1]) if min(map(len, inside)) >= 3 else whole
+    return (inside[0], inside[1]) if min(map(len, inside)) >= 3 else every
 
 
 def _heights_at(xy: FloatArray, x: FloatArray, y: FloatArray, height: FloatArray) -> FloatArray:
-    """Height of the nearest node; the mean where it has none or the place is beyond the ground."""
+    """Height of the node nearest to each place (n, 2); the mean where that has none. (n,) [m]
+
+    x (columns,), y (rows,), height (rows, columns) are of the nodes. [m]
+    """
     row = np.abs(y[:, None] - xy[:, 1]).argmin(axis=0)
     column = np.abs(x[:, None] - xy[:, 0]).argmin(axis=0)
     nearest: FloatArray = np.nan_to_num(height[row, column], nan=float(np.nanmean(height)))
@@ -167,13 +180,14 @@ def _heights_at(xy: FloatArray, x: FloatArray, y: FloatArray, height: FloatArray
 
 
 def _packed(x: FloatArray, y: FloatArray, height: FloatArray, lines: Sequence[tuple[Line, FloatArray]]) -> str:
+    """`GroundView.data`: nodes as of `_heights_at`, and lines with their places x, y, z (n, 3). [m]"""
     low, high = float(np.nanmin(height)), float(np.nanmax(height))
     scale = max(high - low, 1e-6) / FULL
-    whole = np.where(np.isfinite(height), np.nan_to_num((height - low) / scale), HOLE).round().astype("<i2")
+    numbers = np.where(np.isfinite(height), np.nan_to_num((height - low) / scale), HOLE).round().astype("<i2")
     scene = {
         "rows": len(y), "columns": len(x), "x": [x[0], x[-1]], "y": [y[0], y[-1]], "low": low,
         "scale": scale, "hole": HOLE,
-        "heights": base64.b64encode(whole.tobytes()).decode(),
+        "heights": base64.b64encode(numbers.tobytes()).decode(),
         "lines": [
             {"name": line.name, "color": line.color, "dashed": line.dashed, "points": points.round(3).tolist()}
             for line, points in lines
@@ -183,6 +197,7 @@ def _packed(x: FloatArray, y: FloatArray, height: FloatArray, lines: Sequence[tu
 
 
 def _still(x: FloatArray, y: FloatArray, height: FloatArray, lines: Sequence[Line]) -> bytes:
+    """`GroundView.still`; nodes as of `_heights_at`."""
     with styled():
         return picture_bytes([still_figure(x, y, height, lines)], Path("still.png"))
 

@@ -147,6 +147,7 @@ def counted(count: int, thing: str) -> str:
 
 
 GO, STOP, DOUBT, PLAIN = "go", "no-go", "doubt", "plain"
+"""Tones of an answer, see `ResultAnswer`."""
 MOST = 4
 """Spectra, rocks or designs that are answered one by one; of more the kinds of answers are counted."""
 Result: TypeAlias = Mapping[str, Any]
@@ -171,7 +172,13 @@ class ResultAnswer:
 
 @dataclass(frozen=True, slots=True)
 class AnsweredKind:
-    """What results of a kind are called on a page, and what makes the answer of one."""
+    """How results of a kind are answered on a page.
+
+    Attributes
+    ----------
+    title : what they are called.
+    answer : makes the answer of one, from its parsed `result`.
+    """
 
     title: str
     answer: Callable[[Result], ResultAnswer]

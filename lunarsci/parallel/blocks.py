@@ -38,7 +38,9 @@ BLOCKS_EACH = 4
 LEAST_SAVED = 16
 """Rows of a block that is saved; fewer are computed as soon as written. Assumed."""
 HEADER = "header.json"
+"""File of a folder of blocks that says of which computation they are."""
 UNITS = {"": 1, "k": 1e3, "m": 1e6, "g": 1e9, "t": 1e12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
+"""Bytes of a unit, in lower case without its b."""
 _SIZE = re.compile(r"\s*(\d+(?:\.\d*)?)\s*([kmgt]i?)?b?\s*", re.IGNORECASE)
 
 
@@ -196,6 +198,9 @@ class Computing:
     keep : the file that is being made: done blocks are saved in a folder beside it until it is there.
     force : whether blocks of another computation may be thrown away.
     notify : is called with a line that says that it goes on after blocks of an earlier run.
+
+    `_client` is dask's, once it is needed; `_saved` the folders of blocks that were opened; `_stages` counts how often
+    each name of a stage came, so that folders have names of their own.
     """
 
     scheduler: str | None = None
@@ -247,6 +252,7 @@ class Computing:
 
 
 _HERE: ContextVar[Computing | None] = ContextVar("computing", default=None)
+"""The one in force here, None outside of `computing`."""
 _UNDER_WAY: list[Computing] = []
 """All of this process, whichever thread asks."""
 

@@ -22,6 +22,7 @@ from lunarsci.provenance import installed_version
 CONNECT_S, LONELY_S, LOOK_S = 30.0, 120.0, 2.0
 """How long a scheduler may take to answer, and be without workers; how often the latter is looked at. [s]"""
 KINDS = {".py", ".csv", ".toml"}
+"""Endings of the files of lunarsci that `build` takes into its hash."""
 AHEAD = 2
 """Blocks sent for each thread of the workers: one in work and one that waits."""
 

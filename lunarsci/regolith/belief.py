@@ -29,15 +29,18 @@ from lunarsci.regolith.prior import NINETY_FIVE, PARAMETERS, ROLLING, Law, defau
 from lunarsci.regolith.wheel import Wheel
 
 SCHEMA = "lunarsci/soil-belief/1"
+"""Of the file of a belief; other versions are refused."""
 ASYMMETRY = 1e-9
+"""By which correlations may differ from those across the diagonal: rounding. [-]"""
 FARTHEST_WIDTHS = 6.0
 """Of a mean from its laws, of which a normal law has 2e-9 of its draws beyond, and of what it leaves open: forgetting
 leads back to the laws, past them by at most (0.25 x 6^2 + 1)^0.5 = 3.2 times. Assumed. [standard deviations]"""
 OPEN = (*PARAMETERS, *ROLLING)
 """Parameters of a belief that holds those of its wheel, too."""
 MARK = "# verdict of the fit: "
+"""How the line of a table of soils that has the verdict begins."""
 LISTS: dict[str, type] = {"model_error": float, "assumed": str}
-"""In a verdict, and what they hold."""
+"""Keys of a verdict with lists, and what their entries are."""
 CLOSED, CONTACT_ANGLES = "closed", "contact angles"
 """In the name of a law: the closed form, and contact angles that are unknown."""
 
@@ -96,7 +99,10 @@ def doubt(verdict: FitVerdict) -> str:
 
 
 def other_law(name: str, verdict: FitVerdict | None, rover: str) -> str:
-    """What to know where the soils of a file were found by another law than the twin's; empty where they were not."""
+    """What to know where the soils of a file were inferred by another law than the twin's; empty where they were not.
+
+    `name` is the file, `verdict` that of its fit, `rover` the rover that drives on the soils.
+    """
     if verdict is None or verdict.model == CLOSED:
         return ""
     lost = ", whose contact angles it does not keep" if CONTACT_ANGLES in verdict.model else ""
@@ -164,12 +170,12 @@ class SoilBelief:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of its parameters: those of a soil, or with them those of `ROLLING`."""
+        """Of its parameters, in order: `PARAMETERS`, or with them `ROLLING`; p is 8 or 12."""
         return tuple(self.laws)
 
     @property
     def soil(self) -> "SoilBelief":
-        """What it says of the soil alone, whatever the wheel that taught it may be."""
+        """The belief of the eight parameters of the soil alone, without those of the wheel that taught it."""
         size = len(PARAMETERS)
         drawn = None if self.population is None else self.population[:, :size]
         laws = {name: self.laws[name] for name in PARAMETERS}
@@ -233,7 +239,7 @@ class SoilBelief:
 
     @property
     def sd_ratio(self) -> dict[str, float]:
-        """The same as a share of the prior's. [-]"""
+        """Standard deviation of each parameter's transform, as a share of the prior's. [-]"""
         return {name: float(sd / self.laws[name].width) for name, sd in zip(self.names, self.sd, strict=True)}
 
     def intervals(self) -> dict[str, tuple[float, float, float]]:
@@ -395,6 +401,7 @@ def past_beliefs(belief: SoilBelief) -> list[SoilBelief | None]:
 
 
 def _state(belief: SoilBelief, entry: Mapping[str, Any], number: int) -> SoilBelief | None:
+    """The belief after the drive of an entry of its history, the `number`-th from 1; None where it was not saved."""
     if any(key not in entry for key in STATE):
         return None
     with named(f"history, drive {number}", ParameterError):
@@ -523,14 +530,17 @@ def compare_beliefs(one: SoilBelief, other: SoilBelief) -> BeliefDistance:
 
 
 def _bhattacharyya(mean: FloatArray, covariance: FloatArray, other: FloatArray, others: FloatArray) -> float:
-    """(1/8) d' S^-1 d + (1/2) ln(det S / sqrt(det A det B)), S = (A + B)/2, d the difference of the means."""
+    """(1/8) d' S^-1 d + (1/2) ln(det S / sqrt(det A det B)), S = (A + B)/2, d the difference of the means. [-]
+
+    Arguments are mean (k,) and covariance A (k, k) of one normal law, then mean and covariance B of the other.
+    """
     middle, off = 0.5 * (covariance + others), other - mean
     ln_det = [float(np.linalg.slogdet(matrix)[1]) for matrix in (middle, covariance, others)]
     return float(off @ np.linalg.solve(middle, off)) / 8.0 + 0.5 * (ln_det[0] - 0.5 * (ln_det[1] + ln_det[2]))
 
 
 def _kullback_leibler(true: SoilBelief, model: SoilBelief) -> float:
-    """(1/2) (tr(M^-1 T) + d' M^-1 d - n + ln det M - ln det T)."""
+    """(1/2) (tr(M^-1 T) + d' M^-1 d - n + ln det M - ln det T), T and M the covariances of both. [nat]"""
     off = model.mean - true.mean
     spread = float(np.trace(np.linalg.solve(model.covariance, true.covariance)))
     shift = float(off @ np.linalg.solve(model.covariance, off))

@@ -44,7 +44,7 @@ LENGTHS: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "in": 0.0254, 
 ANGLES: Mapping[str, float] = {"deg": 1.0, "rad": float(np.degrees(1.0)), "degrees": 1.0, "radians": np.degrees(1.0)}
 """Degrees of a unit, by definition."""
 SHARES: Mapping[str, float] = {"share": 1.0, "ratio": 1.0, "%": 0.01, "pct": 0.01, "percent": 0.01}
-"""Of one, by definition."""
+"""Ratios of a unit, by definition. [-]"""
 TORQUES: Mapping[str, float] = {
     **{"nm": 1.0, "ncm": 0.01, "nmm": 1e-3, "knm": 1e3, "mnm": 1e-3, "kgfm": 9.80665, "kgfcm": 0.0980665},
     **{"lbfft": 1.3558179483314004, "lbfin": 0.1129848290276167, "ftlbf": 1.3558179483314004},
@@ -55,13 +55,22 @@ OF_RUNS = ("meas", "measured", "avg", "average", "mean")
 OF_ERRORS = ("sigma", "std", "sd", "stdev", "stddev", "err", "error", "uncertainty")
 """Words that say that a column has the errors of a quantity."""
 RIM, TRAVEL, OVER_LOAD = "rim", "travel", "load"
+"""In the place of a unit: which of two slips, and that a pull is a share of the load."""
 OPTION = "--units"
+"""Option by which users answer questions of columns."""
 HOW = {"": "", OVER_LOAD: ", a share of the load", TRAVEL: ", r w / v - 1", RIM: ", 1 - v / (r w)"}
 """Units that are no units, in words."""
 
 
 class StateColumn(NamedTuple):
-    """Column of wheel states, its units, and what others call it: words with _ between them."""
+    """A column of wheel states.
+
+    Attributes
+    ----------
+    column : its name here.
+    units : units that it may be in, in lower case, with their size in that of the name.
+    names : what others call it: words in lower case with _ between them.
+    """
 
     column: str
     units: Mapping[str, float]
@@ -99,6 +108,7 @@ QUANTITIES = (
 WITH_UNIT = ("t", "h")
 """Symbols that are times and heights, too: they count where a unit says so."""
 BY_TRAVEL = ("slip_travel", "slip_v", "slip_over_v", "slip_sae")
+"""Names of a slip that is r w / v - 1."""
 SHARE_OF_LOAD = (
     *("dp_over_w", "dp_w", "dpw", "dp_over_load", "dp_load", "pull_over_load", "pull_load", "pull_over_weight", "p_w"),
     *("drawbar_pull_over_load", "drawbar_pull_over_weight", "drawbar_pull_load", "drawbar_pull_weight", "pull_weight"),
@@ -110,7 +120,15 @@ SHARE_OF_LOAD = (
 
 @dataclass(frozen=True, slots=True)
 class ColumnMeaning:
-    """What a column is: its quantity, unit ('' where none is named), whether it is the error of it, and its scale."""
+    """What a column is.
+
+    Attributes
+    ----------
+    column : name of its quantity here.
+    unit : as the header has it, in lower case, or `rim`, `travel`, `load`; '' where none is named.
+    sigma : whether it is the standard error of the quantity.
+    scale : by which its numbers are multiplied beside the unit: 0.01 for per cent of a share. [-]
+    """
 
     column: str
     unit: str
@@ -242,6 +260,7 @@ def named_columns(file: str, table: "pd.DataFrame", names: Sequence[str], units:
 
 
 def _converted(what: ColumnMeaning, unit: str, values: FloatArray) -> FloatArray:
+    """Values (n,) in the unit of the column's name; a share of the load stays one, and +0.01 moves the zero."""
     if unit in (TRAVEL, RIM):
         return values if what.sigma else (by_travel(values) if unit == TRAVEL else by_rim(values))
     if unit == OVER_LOAD:
@@ -272,6 +291,7 @@ def by_rim(slip: FloatArray) -> FloatArray:
 
 
 def _cells(values: FloatArray) -> list[str]:
+    """Numbers as text with all digits, blank for NaN."""
     return ["" if np.isnan(value) else repr(float(value)) for value in values]
 
 

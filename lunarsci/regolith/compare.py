@@ -20,10 +20,13 @@ from lunarsci.regolith.soil import RANGES
 from lunarsci.regolith.wheel import RANGES as WHEEL_RANGES
 
 TABLE, LATERAL = "reference_soils.csv", "lateral_soils.csv"
+"""Files beside this one: soils with their sources, and pairs of lateral shear parameters."""
 KINDS = ("terrestrial", "simulant", "lunar")
+"""Of reference soils."""
 SINKAGES_M, STRESSES_PA = np.linspace(0.005, 0.02, 16), np.linspace(2e3, 10e3, 17)
 """Where predictions are compared: sinkages and normal stresses of a light rover's wheel; assumed. [m, Pa]"""
 ASPECTS = ("bearing", "shear", "lateral")
+"""Keys of the results of `identify` and `infer` that have curves of single states."""
 DRAWS, SEED, SIXTY_EIGHT = 1000, 0, (0.15865, 0.84135)
 """Soils that the range of a distance comes from, the seed of their random numbers, and its ends."""
 SYMBOLS = {"stiffness_kpa_m_n": "K_s", "sinkage_exponent": "N", "cohesion_pa": "c", "friction_angle_deg": "φ"}
@@ -70,7 +73,8 @@ class ReferenceSoil:
 class Site:
     """What is known of the ground to compare: bearing pair, shear pair, or both; None for what is not.
 
-    The lateral pair is for the picture: too few soils are known to compare with.
+    The lateral pair is for the picture: too few soils are known to compare with. Parameters are those of `Soil`, with
+    their units; stiffness and exponent are those of a wheel without slip.
 
     Raises ParameterError for half a pair, and values out of range.
     """
@@ -271,10 +275,12 @@ def compare_site(
 
 
 def _single(distances: FloatArray) -> float | None:
+    """The distance of one site (1,); None where it is not known."""
     return float(distances[0]) if np.isfinite(distances[0]) else None
 
 
 def _range(distances: FloatArray) -> tuple[float, float]:
+    """Ends of 68 % of the distances (d,) of drawn sites."""
     low, high = np.quantile(distances, SIXTY_EIGHT)
     return float(low), float(high)
 

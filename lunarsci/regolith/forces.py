@@ -46,7 +46,7 @@ MOST_COHESION = 1.0
 """Share of the normal force that cohesion alone may pull; beyond, forces are those of a wheel hardly in touch. Wheels
 that were compared with the model pull up to 0.44 of their load, as measured (`tests/benchmarks/wheels.py`)."""
 LEAST_SINKAGE_M = 1e-7
-"""Below this the contact angles round to nothing."""
+"""Below this the contact angles round to nothing. [m]"""
 
 
 @formula
@@ -197,6 +197,7 @@ def wheel_forces_kernel(sinkage: Any, travel: Any, lateral: Any, wheel: Any, soi
 
 @in_lanes
 def _each_state(sinkage: Any, travel: Any, lateral: Any, wheel: Any, soil: Any, code: int) -> Any:
+    """F_N, F_DP, F_L, M_R of n states, (4, n); arguments (n,) as of `contact_forces`. [N, N, N, N m]"""
     forces = np.empty((4, len(sinkage)))
     for i in range(len(sinkage)):
         forces[0, i], forces[1, i], forces[2, i], forces[3, i] = wheel_forces_kernel(
@@ -305,6 +306,7 @@ def cohesion_share(wheel: Wheel, soil: Soil, sinkage_m: FloatArray, normal_force
 
 
 def check_states(z: FloatArray, s: FloatArray, beta: FloatArray, radius: float) -> None:
+    """Raise ParameterError where sinkage [m], slip ratio [-] or side slip [deg], (n,) each, is out of range."""
     for name, values, good, rule in (
         ("sinkage_m", z, (z >= LEAST_SINKAGE_M) & (z < radius), f"above 1e-7 and below the wheel radius of {radius} m"),
         ("slip_ratio", s, np.abs(s) <= 1, "within -1 to 1"),

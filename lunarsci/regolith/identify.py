@@ -26,15 +26,18 @@ CURVES = {
     "cohesion_pa": np.arange(0.0, 5001.0, 200.0),
     "lateral_modulus_mm": np.arange(5.0, 61.0, 2.5),
 }
+"""Values of one parameter of a pair at which the other is solved for, to draw the curves."""
 COUNTS = {
     "draws": "[2, inf)",
     "wheel states": "[1, 100000]; take every tenth, for example",
 }
+"""Ranges of how many draws and states there can be."""
 SENSITIVITY_STATES = 50
-"""Of a longer file, evenly over it."""
+"""States of a longer file, evenly over it, that shares of variance are computed of; assumed."""
 POOLED_DRAWS, LEAST_POOLED = 200_000, 8
 """About how many draws of all states together make the estimates of the site, and how many of each state at least."""
 PERCENTILES = (2.5, 97.5)
+"""Ends of an interval of 95 %."""
 MIN_SOLVED = 0.5
 """Share of the draws with a solution below which no value is given: the others may hold its median."""
 UNITS = {**dict.fromkeys(("sigma_m_pa", "tau_xm_pa", "tau_ym_pa"), "Pa"), "exponent": "-", **SOIL_UNITS}
@@ -49,10 +52,13 @@ RANGES = {
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A solved quantity: value at the measured states, standard deviation and 95 % interval over the Monte Carlo draws.
+    """A solved quantity, in the unit that `UNITS` has for it. None everywhere with `assumed` False means no solution.
 
-    `solved` is the share of draws that have a solution; None everywhere with `assumed` False means no solution, and
-    `reason` says why. `assumed` values have no error.
+    value : at the measured states, their median where there are several.
+    sigma, low, high : standard deviation and ends of the 95 % interval over the Monte Carlo draws.
+    solved : share of the draws that have a solution. [-]
+    assumed : whether it was given; it has no error then.
+    reason : why there is no value, or what the value does not include; '' for none.
     """
 
     value: float | None
@@ -140,6 +146,9 @@ class Identification:
     curves : per aspect, points of the curve the states allow, each with value, low and high.
     corners : the external friction angle at each assumed K_y.
     unsolved : parameters that were asked for and have no solution in any state.
+    draws : Monte Carlo sample size of each state.
+    reading : of the shear law.
+    assumptions : what was taken as given.
     """
 
     observations: tuple[dict[str, Any], ...]
@@ -236,7 +245,15 @@ def identify(
 
 
 class _Solved:
-    """Stresses of states as measured, and of their draws behind them, and the parameters that follow."""
+    """Stresses of states as measured, and of their draws behind them, and the parameters that follow.
+
+    stresses : rows as of `invert_states`, those of the measured states first. (n, 6)
+    given : what is assumed.
+    states : how many of the rows are measured states.
+
+    `parameters` has every solved parameter by name, `corners` the external friction angle by assumed K_y [mm]; (n,)
+    each, NaN where there is no solution.
+    """
 
     def __init__(self, stresses: FloatArray, given: Assumptions, states: int = 1) -> None:
         self.sigma_m, self.tau_x, self.tau_y, self.depth, self.mobilised, self.displacement = stresses.T
@@ -245,6 +262,7 @@ class _Solved:
             self.parameters = self._parameters()
 
     def _parameters(self) -> dict[str, FloatArray]:
+        """Parameters that are solved for, by name; sets `adhesion`, c of each row [Pa], and `corners` on the way."""
         given, solved = self.given, {}
         if given.exponent is not None:
             solved["stiffness_kpa_m_n"] = inversion.stiffness(self.sigma_m, self.depth, given.exponent)
@@ -262,13 +280,16 @@ class _Solved:
         return solved
 
     def friction_angle(self, cohesion_pa: Any) -> FloatArray:
+        """phi of each row at a cohesion. (n,) [deg]"""
         return np.asarray(inversion.friction_angle(self.sigma_m, self.tau_x, self.mobilised, cohesion_pa))
 
     def external_friction_angle(self, modulus_mm: Any) -> FloatArray:
+        """phi_y of each row at a K_y. (n,) [deg]"""
         forces = (self.sigma_m, self.tau_y, self.displacement)
         return np.asarray(inversion.external_friction_angle(*forces, modulus_mm, self.adhesion))
 
     def record(self, name: str) -> dict[str, Any]:
+        """Estimates of one state and its draws, as `Identification.observations` has them."""
         stresses = {"sigma_m_pa": self.sigma_m, "tau_xm_pa": self.tau_x, "tau_ym_pa": self.tau_y}
         estimates = {key: estimate(sample, key) for key, sample in (stresses | self.parameters).items()}
         return {"id": name, "corners": _corners(self)} | estimates
@@ -321,6 +342,8 @@ def _corners(solved: _Solved) -> list[dict[str, Any]]:
 
 
 def _curves(solved: _Solved) -> dict[str, list[dict[str, Any]]]:
+    """Points of the curve of each aspect, as `Identification.curves` has them."""
+
     def stiffness(exponent: Any) -> FloatArray:
         return np.asarray(inversion.stiffness(solved.sigma_m, solved.depth, exponent))
 
@@ -365,7 +388,7 @@ class StatesAgreement:
     reduced_chi_square : of these values about their weighted mean, each with its own error.
     probability : of a larger one by chance.
     first, last : values at the least and the largest slip.
-    trend : `falls` or `rises` with slip, '' for neither or where it cannot be told.
+    trend : `falls` or `rises` with slip, '' for neither or where slips do not differ.
     """
 
     parameter: str
@@ -459,23 +482,23 @@ def sensitivities(
     def share(part: float | None, total: float) -> float | None:
         return None if part is None or total == 0 else part / total
 
-    whole = variances(few.sigmas)
+    totals = variances(few.sigmas)
     shares = []
     for k, quantity in enumerate(COLUMNS):
         if not np.nan_to_num(few.sigmas[:, k]).any() or not np.isfinite(few.values[:, k]).any():
             continue
         only = np.where(np.arange(len(COLUMNS)) == k, few.sigmas, 0.0)
         alone, without = variances(only), variances(few.sigmas - only)
-        for name, total in whole.items():
-            left = share(without.get(name), total)
+        for name, total in totals.items():
+            rest = share(without.get(name), total)
             shares.append(
-                Sensitivity(name, quantity, share(alone.get(name), total), None if left is None else 1 - left)
+                Sensitivity(name, quantity, share(alone.get(name), total), None if rest is None else 1 - rest)
             )
     return sorted(shares, key=lambda share: [*LABELS].index(share.parameter))
 
 
 def _variance(result: Identification, name: str) -> float | None:
-    """Mean over the states that have a solution; of several assumed K_y the first."""
+    """Of a parameter, the mean over the states that have a solution; of several assumed K_y the first."""
     parts = [row[name] for row in result.observations if name in row]
     if name == "external_friction_angle_deg":
         parts = [row["corners"][0][name] for row in result.observations if row["corners"]]

@@ -1,7 +1,7 @@
 """Wheel-soil forces and moments by integrating the stresses over the contact (Eqs 1-17), with what goes beyond them.
 
 Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8; the second integral of Eq. 1 is taken up to
-theta_1. The closed form of `forces` puts a triangle in the place of these stresses. Choices: `contact`.
+theta_1. The closed form of `forces` puts a triangle in the place of these stresses. Choices: `ContactModel`.
 """
 
 import math
@@ -51,7 +51,12 @@ forward at this one, so that a locked wheel that slides sideways is the limit of
 @compiled
 def side_pressure(cohesion: float, tan_phi: float, model: Any) -> tuple[float, float]:
     """Force of the soil per length of a vertical face that moves against it: its factors of depth and depth squared.
-    [N m^-2, N m^-3]"""
+    [N m^-2, N m^-3]
+
+    cohesion : c. [Pa]
+    tan_phi : of the internal friction angle. [-]
+    model : `ContactModel.vector()`.
+    """
     if model[2] == 0.0:
         return 0.0, 0.0
     phi = math.atan(tan_phi)
@@ -74,6 +79,12 @@ def contact_place(sinkage: Any, velocity: Any, wheel: Any, soil: Any, model: Any
     sinkage : z, 0 < z < r. [m]
     velocity : v_x, v_y, and r_s omega >= 0, of any common unit; not all 0.
     wheel, soil, model : `Wheel.vector()`, `Soil.vector()`, `ContactModel.vector()`.
+
+    Returns
+    -------
+    theta_1, the entrance angle of the grouser tips and its sine, theta_2, theta_m [rad]; the sinkage exponent N [-];
+    v_x and v_y over r_s omega, v_y over the speed [-]; of a rut the old stress [Pa], the slope of reloading [Pa/m], and
+    the depth below the undisturbed ground at which it begins [m].
     """
     r, _, h, _, c1, c2, c3 = wheel
     v_x, v_y, rim = velocity
@@ -149,11 +160,11 @@ def contact_sums(
 def contact_kernel(sinkage: Any, velocity: Any, wheel: Any, soil: Any, model: Any, rule: Any) -> Any:
     """F_N, F_DP, F_L, M_R, M_S, M_O of one wheel, or of eight. [N, N, N, N m, N m, N m]
 
-    Arguments as of `contact_place`; nodes and weights of the rule as of `contact_sums`.
+    Arguments as of `contact_place`; `rule` are nodes and weights (k,) as of `contact_sums`.
     """
     place, face = contact_place(sinkage, velocity, wheel, soil, model), side_pressure(soil[3], soil[4], model)
-    (nodes, weights), none = rule, 0.0 * sinkage
-    sums = (none, none, none, none, none, none)
+    (nodes, weights), zero = rule, 0.0 * sinkage
+    sums = (zero, zero, zero, zero, zero, zero)
     for k in range(len(nodes)):
         if model[1] == 0.0:
             sums = contact_sums(sums, place, nodes[k], weights[k], wheel, soil, model, face, 0)
@@ -164,7 +175,17 @@ def contact_kernel(sinkage: Any, velocity: Any, wheel: Any, soil: Any, model: An
 
 @in_lanes
 def _eight_by_eight(sinkage: Any, velocity: Any, soils: Any, contacts: Any, wheel: Any, model: Any, rule: Any) -> Any:
-    """Forces and moments, (d 6 n / 8, 8), at sinkages (d n / 8, 8) and velocities (3 n / 8, 8)."""
+    """Forces and moments of n states on each of d soils, (6 d n / 8, 8): soil after soil F_N of all states, F_DP, ...
+
+    Parameters
+    ----------
+    sinkage : soil after soil. (d n / 8, 8) [m]
+    velocity : v_x of all states, v_y, r_s omega. (3 n / 8, 8)
+    soils, contacts : as `forces_on_soils` takes them. (d, 8), (d, 4)
+    wheel : r, b, h, r_s. [m]
+    model : `ContactModel.vector()`, whose n2 is that of `contacts`.
+    rule : nodes and weights. (k,), (k,)
+    """
     blocks = len(velocity) // 3
     forces = np.empty((6 * len(sinkage), LANES))
     r, b, h, r_s = wheel
@@ -313,5 +334,6 @@ def integrated_forces_in_motion(
 def _forces(
     wheel: Wheel, soil: Soil, z: FloatArray, velocity: FloatArray, model: ContactModel, shape: tuple[int, ...]
 ) -> ContactForces:
+    """Forces at sinkages z (n,) [m] and velocities (n, 3), each put into a shape of n numbers."""
     forces = forces_on_soils(z[None], velocity, np.array([soil.vector()]), wheel, model)[0]
     return ContactForces(*(force.reshape(shape) for force in finite(forces)))

@@ -17,13 +17,16 @@ from lunarsci.arrays import FloatArray
 from lunarsci.ranges import POSITIVE, check_each, refuse
 
 AXES = ("along", "across")
+"""Of the way: ahead, and to the left."""
 SHARED = ("sinkage_m", "drawbar_pull_n", "lateral_force_n")
 """Quantities of the wheels with a share of their own. Slip and side slip follow from those of the way."""
 FEWEST_DEGREES, MOST_DEGREES = 2.5, 40.0
 """Of freedom: below 2 there is no variance, and drives on other ground are never all alike; assumed."""
 DEGREES = f"[{FEWEST_DEGREES}, {MOST_DEGREES}]"
+"""The same as a range that is checked."""
 WAY_TO_STATE_ERROR, STATE_DRIVES = 0.6, 5.0
-"""See `FIRST`."""
+"""Share of the way that the next drive is off by, over the share of its states that a drive left unexplained [-], and
+how many drives that counts as at most; measured: see `FIRST`."""
 GRID, REACH = 41, 8.0
 """Points over the logarithm of a variance, and how many of its standard deviations they reach to either side."""
 
@@ -68,7 +71,7 @@ class VarianceLaw:
         return ln_variance, density
 
     def after_error(self, miss: float, other: float, size: float) -> "VarianceLaw":
-        """After a drive that was off by `miss`, of which `other` is variance of other origin, for a size of 1."""
+        """After a drive on which a quantity of this `size` was off by `miss`; `other` is variance of other origin."""
         ln_variance, density = self.grid()
         total = np.exp(ln_variance) * size**2 + other
         return _matched(ln_variance, np.exp(density - 0.5 * (np.log(total) + miss**2 / total)))
@@ -93,7 +96,10 @@ def _within(degrees: float) -> float:
 
 
 def _matched(ln_variance: FloatArray, weight: FloatArray) -> VarianceLaw:
-    """The law with this mean and variance of the logarithm, from a density on an even grid."""
+    """The law with this mean and variance of the logarithm, from a density on an even grid.
+
+    `weight` (GRID,) need not add up to 1.
+    """
     from scipy.optimize import brentq
 
     weight = weight / weight.sum()

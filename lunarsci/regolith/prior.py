@@ -26,6 +26,7 @@ from lunarsci.ranges import FINITE, NOT_NEGATIVE, POSITIVE, check_each, refuse
 from lunarsci.regolith.wheel import Wheel
 
 PRIORS = "priors.toml"
+"""File beside this one, with a law for each parameter and its source."""
 PARAMETERS = (
     "stiffness_kpa_m_n",
     "sinkage_exponent",
@@ -36,6 +37,7 @@ PARAMETERS = (
     "external_friction_angle_deg",
     "lateral_modulus_mm",
 )
+"""Of a soil, in the order of arrays of parameters; the unit of each is in `UNITS`."""
 CONTACT = ("skid_exponent_slip", "max_stress_c1", "max_stress_c2", "exit_c3")
 """What a contact may have unknown beside its soil: n2 of `ContactModel`, c1-c3 of `Wheel`."""
 ROLLING = ("max_stress_c1", "max_stress_c2", "exit_c3", "shearing_radius_ratio")
@@ -59,7 +61,7 @@ STRANGE, NINETY_FIVE = 3.290527, 1.959964
 """Beyond the first a normal law lies, to either side, by a chance of `SIGNIFICANCE`; the second is half of what holds
 95 %. [standard deviations]"""
 FIXED_SD = 1e-6
-"""Stands for a parameter that is known."""
+"""Standard deviation of the transform of a parameter that is given as exact."""
 
 
 @dataclass(frozen=True, slots=True)

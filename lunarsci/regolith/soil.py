@@ -21,6 +21,7 @@ RANGES = {
     "cohesion_pa": NOT_NEGATIVE,
     "sinkage_exponent_slip": FINITE,
 }
+"""Of the numbers of a `Soil`."""
 OTHER_UNITS: dict[str, dict[str, float]] = {
     "stiffness_kpa_m_n": {"Pa/m^N": 1e-3, "MPa/m^N": 1e3, "psi/in^N": 271.4, "tenths of kPa/m^N": 0.1,
                           "tens of kPa/m^N": 10.0},

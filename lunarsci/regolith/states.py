@@ -43,28 +43,35 @@ LOAD_UNITS = {"kN": FORCES["kn"], "mN": FORCES["mn"]}
 PULL_OVER_LOAD, PULLING = Law("ln", 0.25, 0.7, "Wong 2008, ISBN 978-0-470-17038-0; width assumed"), 0.2
 """Largest drawbar pull of a wheel test, as a share of the load: 0.1 to 0.5 from such a slip on. [-]"""
 SINKAGE = Law("ln", 0.12, 0.8, "5 to 40 % of wheels' radii; assumed")
+"""Prior of a median sinkage over the radius. [-]"""
 SLIPS: Mapping[str, Law] = {
     "%": Law("ln", 25.0, 1.0, "wheel tests go from 5 to 80 %; assumed"),
     TRAVEL: Law("ln", 0.4, 1.0, "the same as r w / v - 1; assumed"),
 }
+"""Priors of the median of slips that are no ratios from -1 to 1, as they are written, by unit or definition."""
 USUAL_SLIP = 0.3
-"""Priors of a median sinkage over the radius, and of the median of slips that are no ratios from -1 to 1, as they are
-written; the middle of what wheel tests try; assumed."""
+"""Slip ratio in the middle of what wheel tests try; assumed. [-]"""
 ROUND, OFF, SURELY_ROUND = 0.05, 0.02, 1e4
 """Step of the slips that wheel tests are set to, how far off one a round number is at most, in steps, and the odds from
 which they are taken for set ones; assumed."""
 REQUIRED = ("sinkage_m", "normal_force_n", "drawbar_pull_n")
+"""Columns that a state needs to be solved for its stresses."""
 COLUMNS = ("sinkage_m", "slip_ratio", "side_slip_deg", "normal_force_n", "drawbar_pull_n", "lateral_force_n")
+"""What is measured of a state, in the order of `WheelStates.values`: inputs of the wheel-soil laws, then forces."""
 IDENTIFIERS = (
     *("id", "member", "wheel", "distance_m", "time_s", "x_m", "y_m", "resistance_torque_nm", "valid", "slip_basis"),
     *("x_m_sigma", "y_m_sigma", "resistance_torque_nm_sigma", "synthetic", "forces_from", "yaw_deg"),
     *("rim_m_s", "slip_ratio_shared", "doubt", "rover", "ground"),
 )
+"""Further columns of the tables that lunarsci writes: what tells states apart, and where they are from."""
 EVERY_COLUMN = (*COLUMNS, *(f"{name}_sigma" for name in COLUMNS), *IDENTIFIERS)
+"""All columns that have a meaning; of others those are refused that are nearly one of them."""
 FROM_MOTION = "motion"
 """In the column `forces_from`: forces that were computed of a motion with drawn soils, not measured."""
 LEAST_SINKAGE_M = 1e-6
+"""Below it a wheel hardly touches the ground, and its state determines no soil; assumed. [m]"""
 YES, NO = ("true", "1", "1.0", "yes"), ("false", "0", "0.0", "no")
+"""Cells of the column `valid`, in lower case."""
 
 
 def likely_sinkage_unit(median: float, wheel: Wheel) -> tuple[str, Question | None]:
@@ -140,6 +147,7 @@ def _name_of(answer: str) -> str:
 
 
 def _of_pull(slip: FloatArray, pull: FloatArray, load: float) -> Question | None:
+    """What to ask of pulls (n,) [N] at slips (n,) by their balance with a median load [N]; None for nothing."""
     most, share = float(np.nanmax(np.abs(pull), initial=0.0)), "a share of the load"
     if np.nanmax(np.abs(slip), initial=0.0) < PULLING:
         return None
@@ -155,6 +163,7 @@ def _of_pull(slip: FloatArray, pull: FloatArray, load: float) -> Question | None
 
 
 def _of_load(middle: float, law: Law, unitless: Collection[str]) -> Question | None:
+    """What to ask of a median load [N] by the law of those that wheels of that size carry; None for nothing."""
     named = "normal_force_n" not in unitless
     units = LOAD_UNITS | ({} if named else {"kgf": FORCES["kgf"], "lbf": FORCES["lbf"]})
     query = question("median normal_force_n", middle, law, units)
@@ -170,6 +179,10 @@ class MeasurementErrors:
     Defaults are the errors of Ding et al. (2024), 10.1038/s41467-024-46233-8, read as three standard deviations: 1 mm
     of sinkage, 10 % of the forces, 4 % of the travelled distance, from which the slip ratio s follows with an error of
     that share of 1 - |s|, and 4 % of the side slip.
+
+    sinkage_m : of the sinkage. [m]
+    force_relative, side_slip_relative : of each force and of the side slip, as shares of their sizes. [-]
+    travel_relative : of the travelled distance, as a share of it. [-]
     """
 
     sinkage_m: float = 0.00033
@@ -336,6 +349,7 @@ def _named(source: InputFile, wheel: Wheel, units: str) -> NamedColumns:
 
 
 def _numbers(file: str, table: "pd.DataFrame", name: str) -> FloatArray:
+    """A column as numbers, NaN where blank or missing. (n,) Raises DataError for text."""
     return numbers_of(file, name, table[name]) if name in table else np.full(len(table), np.nan)
 
 
@@ -374,6 +388,7 @@ def _check_scale(file: str, values: FloatArray, radius_m: float) -> None:
 
 
 def _sigmas(file: str, table: "pd.DataFrame", values: FloatArray, errors: MeasurementErrors) -> FloatArray:
+    """Standard errors of values (n, 6): those of the file, else those of `errors`. (n, 6) Raises DataError."""
     columns = []
     for k, name in enumerate(COLUMNS):
         given = _numbers(file, table, f"{name}_sigma")

@@ -94,7 +94,15 @@ def stiffness_under_load(
 
 
 class LoadedState(NamedTuple):
-    """A wheel under its load: slip [-], sinkage [m], the soil that carries it, and the forces."""
+    """A wheel under its load.
+
+    Attributes
+    ----------
+    slip : slip ratio. [-]
+    sinkage_m : at which the soil carries the load. [m]
+    soil : softened where slip deepens the sinkage by a law.
+    forces : of the soil on the wheel. [N, N m]
+    """
 
     slip: float
     sinkage_m: float
@@ -117,6 +125,7 @@ class LoadedWheel:
 
     Attributes
     ----------
+    wheel, soil : the two sides of the contact.
     load_n : W > 0. [N]
     side_slip_deg : within 90. [deg]
     law : how slip deepens the sinkage; None for not at all, and in skid.
@@ -175,7 +184,8 @@ class LoadedWheel:
 class Traction(NamedTuple):
     """Figures of a loaded wheel; None where it pulls at no slip that was asked about.
 
-    pull_at_20_n, pull_per_weight_at_20, efficiency_at_20, slope_at_20_deg : at 20 % slip. [N], [-], [-], [deg]
+    pull_at_20_n, pull_per_weight_at_20 : drawbar pull at 20 % slip, and the same over the load. [N], [-]
+    efficiency_at_20, slope_at_20_deg : tractive efficiency, and slope that such wheels climb, at that slip. [-], [deg]
     self_propelled_slip : slip at which the pull is 0, the wheel just keeps itself going. [-]
     best_efficiency, best_efficiency_slip : largest tractive efficiency of the curve, and where. [-]
     """
@@ -207,7 +217,7 @@ def traction(loaded: LoadedWheel, curve: Sequence[LoadedState]) -> Traction:
 
 
 def _without_pull(curve: Sequence[LoadedState]) -> float | None:
-    """First slip at which the pull passes from below 0 to above it, between the states by a straight line."""
+    """First slip at which the pull passes from below 0 to above it, between the states by a straight line. [-]"""
     pulls = [float(state.forces.drawbar_pull_n) for state in curve]
     for before, after, low, high in zip(curve, curve[1:], pulls, pulls[1:], strict=False):
         if low <= 0 < high:

@@ -11,19 +11,24 @@ from lunarsci.ranges import NOT_NEGATIVE, POSITIVE, SHARE, check_each, refuse
 from lunarsci.rovers import RoverDescription, read_rover
 
 PAPER = "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8"
+"""Source of the model, as results cite it."""
 ShearSign = Literal["signed", "printed", "slip-branch"]
 """Sign convention of the longitudinal shear stress, see `lunarsci.regolith.forces`."""
 ShearLaw = Literal["separate", "combined", "ellipse"]
+"""How longitudinal and lateral shear stress are mobilised, see `ContactModel.shear`."""
 Bulldozing = Literal["none", "hegedus", "wong"]
+"""Force of the soil against the side face, see `ContactModel.bulldozing`."""
 SlipSinkageLaw = Literal["lyasko", "linear"]
+"""How slip deepens the sinkage, see `lunarsci.regolith.inversion.slip_sinkage`."""
 SHEAR_SIGNS: tuple[str, ...] = get_args(ShearSign)
 SLIP_SINKAGE_LAWS: tuple[str, ...] = get_args(SlipSinkageLaw)
 SHEAR_LAWS: tuple[ShearLaw, ...] = get_args(ShearLaw)
 BULLDOZING: tuple[str, ...] = get_args(Bulldozing)
+"""The names of each; compiled formulas know them by their places."""
 MAX_VALID_SLIP = 0.6
 """Slip ratio up to which the model holds: Ding et al. (2024), 10.1038/s41467-024-46233-8, Methods. [-]"""
 DENSITY_KG_M3 = 1500.0
-"""Of the upper 15 cm, Lunar Sourcebook (1991), ch. 9."""
+"""Of the upper 15 cm of the ground, Lunar Sourcebook (1991), ch. 9. [kg m^-3]"""
 
 
 LARGEST_M = 2.5
@@ -33,11 +38,13 @@ RANGES = {
     "grouser_height_m": NOT_NEGATIVE,
     "grouser_shear_coefficient": SHARE,
 }
+"""Of the numbers of a `Wheel`."""
 CONTACT_RANGES = {
     **dict.fromkeys(("density_kg_m3", "gravity_m_s2"), POSITIVE),
     "rebound": SHARE,
     **dict.fromkeys(("rut_m", "reload_n_m3", "reload_rise_n_m4"), NOT_NEGATIVE),
 }
+"""Of the numbers of a `ContactModel`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -164,7 +171,11 @@ class ContactModel:
         refuse(faults)
 
     def vector(self) -> tuple[float, float, float, float, float, float, float, float, float]:
-        """What the compiled integrals take; NaN for an n2 and -1 for a rebound that are not given."""
+        """What the compiled integrals take; NaN for an n2 and -1 for a rebound that are not given.
+
+        In order: numbers of reading, shear law and bulldozing law, rho g, n2, rebound, rut, k_0, A_u. [-, -, -, N m^-3,
+        -, -, m, N m^-3, N m^-4]
+        """
         return (
             float(SHEAR_SIGNS.index(self.reading)),
             float(SHEAR_LAWS.index(self.shear)),

@@ -56,6 +56,7 @@ from lunarsci.twin.judgement.tables import state_table
 from lunarsci.twin.simulation.ensemble import Prediction, predict
 
 SOIL = "longji"
+"""Soil of all the demonstration."""
 AHEAD_M, BEHIND_M, WIDTH_PX = (1.0, 0.0), 2.0, 400
 """Place whose height is looked up in the pictures, how far behind the start of the drive the cameras stand, as a mast
 sees no ground nearer than some 1.3 m, and the width of the pictures, to be done in seconds; assumed."""
@@ -63,7 +64,15 @@ sees no ground nearer than some 1.3 m, and the width of the pictures, to be done
 
 @dataclass(frozen=True, slots=True)
 class SeenGround:
-    """A SYNTHETIC stereo pair of the ground ahead, the heights found in it, and one of them beside its truth."""
+    """A SYNTHETIC stereo pair of the ground ahead, and the heights in it.
+
+    Attributes
+    ----------
+    pictures : content of the files by name.
+    heights : elevation model of the pair.
+    height_m, sigma_m : height of the node nearest to `AHEAD_M`, and its standard error. [m]
+    truth_m : mean height of what the pictures show of its cell. [m]
+    """
 
     pictures: dict[str, bytes]
     heights: StereoTerrain
@@ -108,7 +117,15 @@ def _ground_ahead(seed: int) -> SeenGround | None:
 
 @dataclass(frozen=True, slots=True)
 class StudiedRock:
-    """The synthetic rock as the spectrometer's products, the calibrated spectrum, and what three methods find in it."""
+    """The synthetic rock as the spectrometer sees it, and what three methods find in it.
+
+    Attributes
+    ----------
+    products : content of the spectrometer's files by name.
+    truth : that the products were simulated from.
+    calibration : reflectance from the products.
+    bands, fit, shares : band parameters, Gaussians and shares of minerals of the calibrated spectrum.
+    """
 
     products: dict[str, bytes]
     truth: Truth
@@ -176,7 +193,13 @@ def _finding(what: str, value: float, sigma: float | None, truth: float | None, 
 
 @dataclass(frozen=True, slots=True)
 class PredictedDrive:
-    """The swept prediction, its verdict, and the wheel states of one drive on a known soil."""
+    """The swept prediction, and one drive on a soil that is given.
+
+    scene : rover, terrain and plan.
+    prediction : over the plan's sweep.
+    verdict : on that.
+    states : CSV of the wheel states of the one drive.
+    """
 
     scene: DriveInputs
     prediction: Prediction

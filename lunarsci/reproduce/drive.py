@@ -41,10 +41,12 @@ from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.ensemble import Prediction, predict
 
 SOIL, STAND_IN = "longji", "stand-in"
+"""Soil of the drive, and the name of the synthetic terrain that it is predicted on, in the place of that of `DEM`."""
 PHI, K_Y = "friction_angle_deg", "lateral_modulus_mm"
 PHI_DEG, K_Y_MM = (25.0, 55.0), (15.0, 45.0)
 """The published range of the sweep: Ding et al. (2024), 10.1038/s41467-024-46233-8, Fig. S6."""
 VALUES = 7
+"""Values of each parameter over the published range; assumed."""
 TYPICAL_PHI_DEG, TYPICAL_K_Y_MM = 40.0, 20.0
 """The values of the sweep nearest to those of the uncorrected prediction, phi = 42 deg and K_y = 20 mm, of Ding et al.
 (2024)."""

@@ -31,7 +31,16 @@ ROVER = "yutu2"
 
 @dataclass(frozen=True, slots=True)
 class Reproduction(Result):
-    """The numbers, and what they and the figures are made from; `inputs` and `tables` are hashes by name."""
+    """The numbers, and what they and the figures are made from.
+
+    Attributes
+    ----------
+    description : of the rover.
+    parts : that were reproduced: `soil`, `drive`, `spectra`.
+    numbers : published ones with what is found for them.
+    rocks, drives : what figures of spectra and drives are made from, None where they were not asked for.
+    inputs, tables : SHA-256 of files and of tables by name.
+    """
 
     description: RoverDescription
     parts: Sequence[str]

@@ -7,10 +7,12 @@ from dataclasses import asdict, dataclass
 from lunarsci.io.tables import table_hashes, table_rows
 
 TABLE = "published.csv"
+"""File beside this one: published numbers, each with its place in the paper."""
 REPRODUCED, NAMED = "reproduced", "reproduced under a named reading"
 CONSISTENT = "consistent with one free force"
 DIFFERS, OPEN = "differs", "not determined by what is published"
 VERDICTS = (REPRODUCED, NAMED, CONSISTENT, DIFFERS, OPEN)
+"""On a published number, the best first."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

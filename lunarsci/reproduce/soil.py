@@ -57,9 +57,11 @@ assumed."""
 SHORT_LUG_M = 0.005
 """Height of lugs that is tried for the one that is not published; assumed."""
 MANY_DRAWS = 20_000
+"""Draws where chance must not show; assumed."""
 SOILS, NO_EVIDENCE = 400, 0.5
 """Soils to measure what chance gives, and the share of them from which on a rank says nothing; assumed."""
 EXACT = MeasurementErrors(sinkage_m=0, force_relative=0, travel_relative=0, side_slip_relative=0)
+"""No errors of measurement."""
 WHEEL_LOAD = "F_N / b = 213.5 N/m, which only this number sets"
 SLIP_BRANCH = "slip branch of the shear law at |s|"
 LONGJI = ("Longji", "lunar soil, nominal")
@@ -286,8 +288,14 @@ def soil_numbers(wheel: Wheel | None = None) -> list[Number]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Histogram:
-    """Draws of a quantity, with the ids of its published mean and standard deviation, a label with its unit, and that
-    of its density."""
+    """Draws of a quantity beside its published mean and standard deviation.
+
+    Attributes
+    ----------
+    label, per : of the quantity and of its density, with their units.
+    mean_id, sd_id : of the published numbers, in `published.csv`.
+    draws : of the quantity, in that unit. (n,)
+    """
 
     label: str
     per: str

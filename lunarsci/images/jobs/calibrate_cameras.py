@@ -71,8 +71,13 @@ def board_target(request: CalibrateCamerasRequest) -> BoardTarget:
 class CalibratedCameras(Result):
     """One camera, or a stereo rig, from pictures of a board.
 
-    `points` is how many points each picture shows, by its file, None where it has no board; `used` the moments that
-    were used, as pairs of files.
+    Attributes
+    ----------
+    calibration : the cameras, and how well they fit.
+    used : moments that were used, each as the files of one camera or of both.
+    points : how many points each picture shows, by its file, None where it has no board.
+    request : what was asked.
+    inputs : SHA-256 of each file by its name.
     """
 
     schema: ClassVar[str] = "images-calibrate/1"

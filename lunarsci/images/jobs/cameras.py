@@ -37,11 +37,20 @@ SOURCES = [
     "Gennery (2006), Int. J. Comput. Vis. 68, 239, 10.1007/s11263-006-5168-1: CAHVOR and CAHVORE",
 ]
 RANGES_M = (1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 15.0, 20.0)
+"""Distances at which errors of a rig are listed. [m]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraSheet(Result):
-    """Rigs, or single cameras with what their labels' fits miss."""
+    """Rigs, or single cameras with what their labels' fits miss.
+
+    Attributes
+    ----------
+    rigs : stereo rigs, in the order given.
+    alone : single cameras by file or name.
+    request : what was asked.
+    inputs : SHA-256 of each file by its name.
+    """
 
     schema: ClassVar[str] = "images-cameras/1"
     sources = SOURCES

@@ -36,11 +36,22 @@ HONEST = 3.0
 """Heights are gridded as far as the range's error is so many cells, at the disparity's error by which `images cameras`
 judges ranges; assumed. Option `farthest` says otherwise."""
 RANGES_M = (0.0, 2.0, 3.0, 4.0, 6.0, 9.0, 15.0, math.inf)
+"""Ends of the ranges that errors of heights are listed by. [m]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StereoTerrain(Result):
-    """An elevation model, and the matches that it was made of."""
+    """An elevation model, and the matches that it was made of.
+
+    Attributes
+    ----------
+    model : heights of the ground with their errors.
+    matches : of the two pictures.
+    rig : that took them.
+    pose : of its left camera.
+    levelled : whether the pose is one above level ground that was fitted to the points, not a given one.
+    inputs : SHA-256 of each file by its name.
+    """
 
     schema: ClassVar[str] = "images-dem/1"
     sources = SOURCES

@@ -36,7 +36,9 @@ SOURCES = [
     "Huber (1964), Ann. Math. Stat. 35, 73, 10.1214/aoms/1177703732: robust weights",
 ]
 SIDES = ("left", "right")
+"""Names of the pictures in a station's folder, without their endings."""
 ENDINGS = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
+"""Ends of names of pictures, in the order they are looked for."""
 FIRST_M = 0.001
 """Error of the first place in the table, which is exact by definition: readers need one above 0; assumed."""
 ATTITUDE = ("rover_yaw_deg", "rover_pitch_deg", "rover_roll_deg")
@@ -46,7 +48,15 @@ AXES = "xyz"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LocatedStations(Result):
-    """Where the rover, or its left camera, was, in the frame of the first pose."""
+    """Where the rover, or its left camera, was, in the frame of the first pose.
+
+    Attributes
+    ----------
+    localised : poses of the stations with their covariance, and the ties they follow from.
+    rig : that took the pictures, as its file has it.
+    inputs : SHA-256 of each file by its name.
+    synthetic : whether a picture or pose says that it is made up.
+    """
 
     schema: ClassVar[str] = "images-locate/1"
     sources = SOURCES
@@ -218,7 +228,16 @@ def _names(whole: Sequence[Path]) -> list[str]:
 
 
 class _Read(NamedTuple):
-    """What a station's folder holds; `rover` is the rover's frame in that of the left camera."""
+    """What a station's folder holds.
+
+    Attributes
+    ----------
+    left, right : its pictures.
+    pose : of the left camera, by dead reckoning.
+    time_s : of the pictures; None where it is not known. [s]
+    rover : the rover's frame in that of the left camera; None where it is not known.
+    synthetic : whether it says that it is made up.
+    """
 
     left: Picture
     right: Picture

@@ -32,14 +32,24 @@ SOURCES = [
     "Huber (1964), Ann. Math. Stat. 35, 73, 10.1214/aoms/1177703732: robust weights",
 ]
 NEEDED = ("x_m", "y_m", "z_m")
+"""Columns of positions; a missing z_m is 0. [m]"""
 ERRORS = ("xx_m2", "xy_m2", "yy_m2", "zz_m2")
+"""Columns of their covariances, in the place of one `sigma_m`. [m2]"""
 ODD, SHARE = 1.5, 0.05
 """Rms of z-scores, and share beyond three, from which models are said to disagree; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MergedStations(Result):
-    """One map of several stations."""
+    """One map of several stations.
+
+    Attributes
+    ----------
+    names : files of the models, in the order given.
+    models : of the stations, in that order, as they were read.
+    merged : the map, with what each model is off by.
+    inputs : SHA-256 of each file by its name.
+    """
 
     schema: ClassVar[str] = "images-merge/1"
     sources = SOURCES
@@ -118,7 +128,7 @@ def merge(
 
 
 def read_positions(source: InputFile, count: int) -> list[StationPosition]:
-    """Positions of stations from CSV, a row for each. Raises DataError."""
+    """Positions of stations from CSV, a row for each of `count`, in the order of the models. Raises DataError."""
     table = read_csv_table(source)
     listed = {str(name) for name in table}
     reasons = {

@@ -39,7 +39,16 @@ TRUTH_STEP_M = 2.0**-16
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SyntheticPair(Result):
-    """Two pictures of a landscape, and the truth of the left one."""
+    """Two SYNTHETIC pictures of a landscape, and the truth of the left one.
+
+    Attributes
+    ----------
+    landscape : that they show.
+    rig : as it was given, not the draw that took them.
+    pair : the pictures, and how they were really taken.
+    inputs : SHA-256 of each file by its name.
+    seed : of all random numbers.
+    """
 
     schema: ClassVar[str] = "images-render/1"
     sources = SOURCES

@@ -24,11 +24,20 @@ SOURCES = [
     "Wilson (1927), J. Am. Stat. Assoc. 22, 209, 10.1080/01621459.1927.10502953: interval of a share",
 ]
 CORNERS = 24
+"""Corners of the polygon in the place of the circle about a rock, in GeoJSON."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RockList(Result):
-    """Rocks of an elevation model, the surest first."""
+    """Rocks of an elevation model, the surest first.
+
+    Attributes
+    ----------
+    model : the heights that they were looked for in.
+    survey : the rocks, and how sure and complete they are.
+    request : what was asked.
+    inputs : SHA-256 of each file by its name.
+    """
 
     schema: ClassVar[str] = "images-rocks/1"
     model: ElevationModel

@@ -33,7 +33,19 @@ STATEMENTS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TrackSinkage(Result):
-    """Depths along a track, and the sinkage of the wheel that left it."""
+    """Depths along a track, and the sinkage of the wheel that left it.
+
+    Attributes
+    ----------
+    model : the heights that the track was measured in.
+    line : corners of the line along the track. (n, 2) [m]
+    width_m : of the wheel. [m]
+    depths : at places along the line.
+    rebound : share of the sinkage by which the ground rose again behind the wheel, 0 to below 1; assumed. [-]
+    inputs : SHA-256 of the file of heights by its name.
+    tables : SHA-256 of the rover's file by its name; empty where the width was given.
+    assumed : what of the rover is a guess, in words.
+    """
 
     schema: ClassVar[str] = "images-track/1"
     sources = SOURCES
@@ -65,7 +77,7 @@ class TrackSinkage(Result):
         depths = self.depths
         systematic = depths.rut_m_systematic[depths.determined]
         shared = float(np.sqrt(np.mean(systematic**2))) if len(systematic) else None
-        whole = 1.0 - self.rebound
+        remaining_share = 1.0 - self.rebound
         mean = depths.mean_m if depths.determined.any() else None
         total = None if mean is None or shared is None else float(np.hypot(depths.mean_random_m, shared))
         return {
@@ -74,7 +86,11 @@ class TrackSinkage(Result):
             "places": len(depths.distance_m),
             "determined": int(depths.determined.sum()),
             "rut_m": {"mean": mean, "random": depths.mean_random_m, "systematic": shared, "sigma": total},
-            "sinkage_m": {"mean": mean and mean / whole, "sigma": total and total / whole, "rebound": self.rebound},
+            "sinkage_m": {
+                "mean": mean and mean / remaining_share,
+                "sigma": total and total / remaining_share,
+                "rebound": self.rebound,
+            },
             "systematic_m": {
                 name: None if values is None else float(np.nanmean(values))
                 for name, values in depths.systematic_m.items()
@@ -86,7 +102,7 @@ class TrackSinkage(Result):
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """One a place; `x_m`, `y_m`, `rut_m` and `rut_m_sigma` are what `twin states --track` reads."""
-        depths, whole = self.depths, 1.0 - self.rebound
+        depths, remaining_share = self.depths, 1.0 - self.rebound
         blank = np.where(depths.determined, 1.0, np.nan)
         sigma = np.hypot(depths.rut_m_random, depths.rut_m_systematic) * blank
         columns = {
@@ -97,8 +113,8 @@ class TrackSinkage(Result):
             "rut_m_sigma": sigma,
             "rut_m_random": depths.rut_m_random * blank,
             "rut_m_systematic": depths.rut_m_systematic * blank,
-            "sinkage_m": depths.rut_m / whole,
-            "sinkage_m_sigma": sigma / whole,
+            "sinkage_m": depths.rut_m / remaining_share,
+            "sinkage_m_sigma": sigma / remaining_share,
         }
         rows = [dict(zip(columns, map(float, row), strict=True)) for row in zip(*columns.values(), strict=True)]
         return [row | {"status": reason or "ok"} for row, reason in zip(rows, depths.reason, strict=True)]

@@ -25,10 +25,12 @@ from lunarsci.regolith.inference.problem import (
 from lunarsci.regolith.prior import SIGNIFICANCE, values_of
 
 STEPS, HIGHEST_DAMPING = 100, 1e10
+"""Of Levenberg-Marquardt: steps at most, and the damping beyond which no step is tried."""
 FINE, CONVERGED, ROUGH = 1e-9, 1e-4, 0.1
-"""Tolerances of -2 ln posterior: of the soil that is told, of limits and totals, and while model errors are sought."""
+"""Tolerances of -2 ln posterior: of the soil that is reported, of limits and totals, and while model errors are sought.
+"""
 LONGEST = 2.0
-"""Step, in standard deviations of the prior."""
+"""Longest step of a parameter, in standard deviations of the prior."""
 GROSS_ERRORS = 0.1
 """Most gross errors of routine data, from 1 % on (Hampel, Ronchetti, Rousseeuw & Stahel 1986, Robust Statistics,
 10.1002/9781118186435, ch. 1.2): a fit with more outliers is doubted, and twice as many are left out at most. [-]"""
@@ -43,10 +45,16 @@ FARTHEST, PROFILE_TOLERANCE = 8.0, 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mode:
-    """Which states are no outliers, the most probable parameters, their covariance, the problem with its model errors.
+    """The most probable soil. Errors that are alike in neighbouring states widen the covariance; they do not draw the
+    mode nearer to the prior.
 
-    `fitted` carries the share of the load that weighs all forces alike in the fit, `problem` one for each force. Errors
-    that are alike in neighbouring states widen the covariance; they do not draw the mode nearer to the prior.
+    Attributes
+    ----------
+    inliers : which of the n states are no outliers. (n,)
+    point : the most probable transformed parameters. (p,)
+    covariance : of these. (p, p)
+    problem : all states, with a model error for each force.
+    fitted : the same with the one share of the load that weighs all forces alike in the fit.
     """
 
     inliers: BoolArray
@@ -75,6 +83,8 @@ def mode_with_errors(problem: JointProblem, start: FloatArray | None = None) -> 
     point = problem.center if start is None else start
 
     def fit(tolerance: float) -> tuple[JointProblem, FloatArray, FloatArray, float, JointProblem]:
+        """The inliers, their mode with its covariance, how many parameters they determined, and all states with a model
+        error for each force."""
         part = part_of(replace(problem, model_error=(share,) * 3), inliers)
         at, covariance = find_mode(part, point, tolerance=tolerance)
         freedom = float(np.sum(1 - np.diag(covariance) / problem.width**2))
@@ -89,8 +99,8 @@ def mode_with_errors(problem: JointProblem, start: FloatArray | None = None) -> 
         if abs(math.log(share / before[0])) < SETTLED and (inliers == before[1]).all():
             break
     part, point, covariance, _, each = fit(FINE)
-    alike, law = states_alike(part_of(each, inliers), point), np.diag(problem.width**-2)
-    wide = np.linalg.inv(law + (np.linalg.inv(covariance) - law) / alike)
+    alike, precision = states_alike(part_of(each, inliers), point), np.diag(problem.width**-2)
+    wide = np.linalg.inv(precision + (np.linalg.inv(covariance) - precision) / alike)
     fitted = replace(problem, model_error=(share,) * 3, alike=alike)
     return Mode(inliers, point, np.asarray(0.5 * (wide + wide.T), dtype=np.float64), each, fitted)
 
@@ -120,7 +130,8 @@ def profile_limits(
 ) -> FloatArray:
     """Low and high 68 %, low and high 95 % limits of every parameter in its unit, (4, 8).
 
-    A limit is where the best of all other parameters costs as much as a normal law does there.
+    A limit is where the best of all other parameters costs as much as a normal law does there. `mode` (p,) and
+    `covariance` (p, p) are of the transforms.
     """
     limits = np.empty((4, len(mode)))
     for k in range(len(mode)):
@@ -132,7 +143,10 @@ def profile_limits(
 
 
 def _limit(problem: JointProblem, mode: FloatArray, k: int, side: int, rise: float, sd: float) -> float:
-    """Of parameter k, transformed; at most FARTHEST away."""
+    """Where -2 ln posterior is higher by `rise`, below (-1) or above (1) the mode: of parameter k, transformed.
+
+    At most `FARTHEST` away; `sd` is its standard deviation.
+    """
     from scipy.optimize import brentq
 
     fixed, lowest, start = np.arange(len(mode)) == k, problem.objective(mode), mode.copy()
@@ -167,13 +181,13 @@ def find_mode(
     def white(at: FloatArray) -> FloatArray:
         return np.concatenate([problem.white(at).reshape(len(at), -1), (at - center) / width], axis=1)
 
-    point, damping, away = start.copy(), 1e-3, np.diag(STEP * width)
+    point, damping, nudges = start.copy(), 1e-3, np.diag(STEP * width)
     rows = white(point[None])[0]
     if not np.isfinite(rows).all():
         raise ParameterError("the model has no finite forces at the centre of the priors; check states and priors")
     curvature, held = np.diag(width**-2), np.diag(np.zeros(len(start)) if fixed is None else 1.0 * fixed)
     for _ in range(STEPS):
-        ahead, behind = np.split(white(np.concatenate([point + away, point - away])), 2)
+        ahead, behind = np.split(white(np.concatenate([point + nudges, point - nudges])), 2)
         scaled = np.ascontiguousarray((ahead - behind).T / (2 * STEP)) / width
         if fixed is not None:
             scaled[:, fixed] = 0.0
@@ -198,8 +212,9 @@ def find_mode(
 def predictive_densities(mode: Mode, groups: IndexArray) -> FloatArray:
     """Logarithm of the density of each group of states predicted from the others, in a linear step from the mode.
 
-    With rows w of whitened residuals of a group, J their derivatives, H the curvature of all others and a states alike,
-    the residuals of a fit without it are (1 + J H^-1 J' / a) w, and their covariance is 1 + J H^-1 J'. (groups,)
+    `groups` has the number of each state's group, from 0. (n,) With rows w of whitened residuals of a group, J their
+    derivatives, H the curvature of all others and a states alike, the residuals of a fit without it are
+    (1 + J H^-1 J' / a) w, and their covariance is 1 + J H^-1 J'. (groups,)
     """
     problem, width = mode.problem, mode.problem.width
     rows = problem.white(mode.point[None])[0]

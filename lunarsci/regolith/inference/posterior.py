@@ -64,12 +64,13 @@ RANGES = {
     "model_error": "[0, 1)",
     "draws": "[100, inf)",
 }
+"""Of what `infer_soil` may be given."""
 LEVELS = (0.15865, 0.84135, 0.025, 0.975)
 """Of the 68 % and the 95 % interval."""
 PARTICLES = 1000
 """Points of a population, at most."""
 AT_A_STEP, AT_THE_LAST = Moves(3, 20, 0.8), Moves(3, 60, 0.2)
-"""When points have moved enough; what correlation is left is told with the answer."""
+"""When points have moved enough; what correlation is left is reported with the answer."""
 SMALLEST = 1e-6
 """Width of a walk where the population has none, in widths of the prior."""
 
@@ -84,6 +85,7 @@ class SoilPosterior:
         the contact was unknown too.
     covariance : (p, p) of these.
     draws : (d, p) parameters in their units, from the posterior.
+    prior : law of each parameter, by name.
     outliers : ids of states left out.
     residuals : (n, 3) measured less model, F_N, F_DP, F_L, NaN where not measured. [N]
     chi_square, degrees : of the states kept, and their number of forces.
@@ -336,7 +338,11 @@ def law_name(model: ContactModel | None, contact: bool) -> str:
 
 
 class _Walkers:
-    """A population of `tempering` under a normal prior of independent coordinates."""
+    """A population of `tempering` under a normal prior of independent coordinates.
+
+    `points` (particles, p) and their `ln_likelihood` (particles,), minus infinite where a point is impossible, are what
+    `carry` reads; arguments as of `carry_population`.
+    """
 
     def __init__(
         self,
@@ -353,12 +359,14 @@ class _Walkers:
         self._scale = WALK / np.sqrt(len(center))
 
     def resample(self, beta: float, weight: FloatArray, chosen: IntArray) -> None:
+        """Take the `chosen` points (particles,), and the covariance of all by their weights (particles,) for walks."""
         covariance = np.cov(self.points.T, aweights=weight, ddof=0)
         covariance += np.diag((SMALLEST * self._width) ** 2)
         self._factor = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
         self.points, self.ln_likelihood = self.points[chosen], self.ln_likelihood[chosen]
 
     def move(self, beta: float) -> None:
+        """One Metropolis step of each point, towards prior x likelihood^beta; walks widen as more are accepted."""
         trial = self.points + self._scale * self._random.standard_normal(self.points.shape) @ self._factor.T
         there = self._possible(trial)
         gain = beta * (there - self.ln_likelihood) + self._ln_prior(trial) - self._ln_prior(self.points)
@@ -368,9 +376,11 @@ class _Walkers:
         self._scale *= np.exp(accepted.mean() - ACCEPTED)
 
     def _possible(self, points: FloatArray) -> FloatArray:
+        """ln likelihood of points, minus infinite for impossible ones. (particles,)"""
         return np.nan_to_num(self._of(points), nan=-np.inf)
 
     def _ln_prior(self, points: FloatArray) -> FloatArray:
+        """ln of the prior at points, up to a constant. (particles,)"""
         return np.asarray(-0.5 * np.sum(((points - self._center) / self._width) ** 2, axis=1))
 
 
@@ -419,22 +429,32 @@ SHIFTS = (-0.2, -0.1, -0.05, -0.02, 0.02, 0.05, 0.1, 0.2)
 NEVER = 1e12
 """Stands for -2 ln posterior of what cannot be; any larger number does as well."""
 FORCE_WORDS = ("normal force", "drawbar pull", "lateral force")
+"""F_N, F_DP, F_L in words."""
 OTHER_SIGNS: tuple[tuple[str, float, str], ...] = (
     ("slip_ratio", -1.0, "its sign turned: slip is positive where the rim is faster than the wheel travels"),
     ("drawbar_pull_n", -1.0, "its sign turned: a pull forward is positive, a resistance negative"),
     ("lateral_force_n", -1.0, "its sign (or that of side_slip_deg) turned: they have the same sign"),
     ("side_slip_deg", math.degrees(1.0), "degrees in place of radians"),
 )
+"""Other readings of a column: its name, the factor to its values, and how it is read then, in words."""
 OTHER_UNITS: tuple[tuple[str, float, str], ...] = (
     *((name, factor, f"newtons in place of {unit}") for name in COLUMNS[3:] for factor, unit in (
         (FORCES["kgf"], "kilograms"), (FORCES["lbf"], "pounds"), (1e-3, "millinewtons"))),
     ("slip_ratio", 0.01, "a share in place of per cent"),
 )  # fmt: skip
+"""The same of other units, tried where the law misses the states by more than it may."""
 
 
 @dataclass(frozen=True, slots=True)
 class Suspect:
-    """A column that would explain the states better if read otherwise, and by how much in -2 ln posterior."""
+    """A column that would explain the states better if read otherwise.
+
+    Attributes
+    ----------
+    column : its name.
+    how : it is read then, in words.
+    gain : by which -2 ln posterior is lower then.
+    """
 
     column: str
     how: str
@@ -501,7 +521,7 @@ def _best(problem: JointProblem, start: FloatArray) -> float:
 
 
 def _stretch(problem: JointProblem, column: str, factor: float) -> float:
-    """What -2 ln of a density of measured forces owes to their unit."""
+    """What -2 ln of a density of measured forces owes to their unit, where a column is multiplied by a factor."""
     measured = int(np.isfinite(problem.forces[:, COLUMNS.index(column) % 3]).sum())
     return 2 * measured * math.log(abs(factor)) if column in COLUMNS[3:] else 0.0
 

@@ -30,6 +30,7 @@ from lunarsci.regolith.traction import DEEPEST
 from lunarsci.regolith.wheel import DENSITY_KG_M3, SHEAR_LAWS, ContactModel, Wheel
 
 DRAWS = 200
+"""Of a predictive distribution; assumed."""
 STEPS, SHALLOWEST = 24, 1e-4
 """Halvings to the sinkage under a load; the least one as a share of the radius."""
 
@@ -127,6 +128,10 @@ def predict_forces(
 
 
 def _forces(soil: FloatArray, z: FloatArray, motion: FloatArray, wheel: Wheel, posterior: SoilPosterior) -> FloatArray:
+    """F_N, F_DP, F_L by the posterior's law, (n, 3) [N], at sinkages (n,) [m], slips and side slips (n, 2) [-, deg].
+
+    `soil` (8,) or (12,) is in the order and units of `PARAMETERS` and `CONTACT`.
+    """
     forces = forces_of_many(soil[None], np.column_stack([z, motion]), wheel, posterior.model)[0]
     return np.array(forces.T, dtype=np.float64)
 
@@ -134,7 +139,7 @@ def _forces(soil: FloatArray, z: FloatArray, motion: FloatArray, wheel: Wheel, p
 def _under(
     soil: FloatArray, motion: FloatArray, load: FloatArray, wheel: Wheel, posterior: SoilPosterior
 ) -> FloatArray:
-    """Sinkage under loads; the deepest one where the soil carries less. (n,)"""
+    """Sinkage under loads (n,) [N]; the deepest one where the soil carries less. (n,) [m] Arguments as of `_forces`."""
     low, high = np.full(load.shape, SHALLOWEST * wheel.radius_m), np.full(load.shape, DEEPEST * wheel.radius_m)
     for _ in range(STEPS):
         middle = np.sqrt(low * high)
@@ -144,6 +149,7 @@ def _under(
 
 
 NAMES = ("value", "low90", "high90", "low68", "high68")
+"""Of the most probable soil, and the limits of intervals of 90 and 68 %."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -229,7 +235,13 @@ def predict_states(posterior: SoilPosterior, wheel: Wheel, source: InputFile, *,
 
 @dataclass(frozen=True, slots=True)
 class WheelLaw:
-    """A wheel-soil law as the joint inference takes it: choices of the integrals, whether the contact is unknown."""
+    """A wheel-soil law as the joint inference takes it.
+
+    Attributes
+    ----------
+    model : choices of the exact integrals, None for the closed form.
+    contact : whether the parameters of `CONTACT` are unknown too.
+    """
 
     model: ContactModel | None
     contact: bool
@@ -246,11 +258,11 @@ class WheelLawScore:
 
     Attributes
     ----------
-    law : it.
+    law : that was scored.
     score : sum over groups of the logarithm of the predictive density; None where it cannot be fitted.
     behind, behind_sigma : by how much the best law is better, and the standard error of that.
-    model_error : share of the load by which the law misses F_N, F_DP, F_L.
-    soil : its most probable soil, in the order and units of `PARAMETERS`.
+    model_error : share of the load by which the law misses F_N, F_DP, F_L; None where it cannot be fitted. [-]
+    soil : its most probable soil, in the order and units of `PARAMETERS`; None where it cannot be fitted.
     """
 
     law: WheelLaw
@@ -349,6 +361,7 @@ def compare_laws(
 def _score(
     law: WheelLaw, part: FloatArray, best: FloatArray, error: tuple[float, float, float], soil: tuple[float, ...]
 ) -> WheelLawScore:
+    """The score of a law whose groups of states have such ln densities, beside those of the best law. (groups,) each"""
     away = best - part
     sigma = float(np.sqrt(len(away)) * np.std(away, ddof=1)) if len(away) > 1 else 0.0
     return WheelLawScore(law, float(part.sum()), float(away.sum()), sigma, error, soil)

@@ -26,6 +26,7 @@ from lunarsci.regolith.states import WheelStates
 from lunarsci.regolith.wheel import ContactModel, Wheel
 
 FORCES = ("normal_force_n", "drawbar_pull_n", "lateral_force_n")
+"""F_N, F_DP, F_L as columns of wheel states have them; not the units of `lunarsci.regolith.columns.FORCES`."""
 STEP = 1e-3
 """Of numerical derivatives, in standard deviations of the prior or the input."""
 HUBER = STRANGE
@@ -37,6 +38,13 @@ CHUNK = 32
 
 @in_lanes
 def _closed(soils: Any, sinkage: Any, travel: Any, lateral: Any, wheel: Any) -> Any:
+    """F_N, F_DP, F_L of the closed form, (d, 3, n). [N]
+
+    soils : (d, 8), each as `Soil.vector()`.
+    sinkage : on each soil. (d, n) [m]
+    travel, lateral : v_x and v_y over r_s omega, as of `motion_ratios`. (n,) each [-]
+    wheel : `Wheel.vector()`.
+    """
     forces = np.empty((len(soils), 3, len(travel)))
     for d in range(len(soils)):
         s = soils[d]
@@ -48,7 +56,7 @@ def _closed(soils: Any, sinkage: Any, travel: Any, lateral: Any, wheel: Any) -> 
 
 
 def tempered(rows: FloatArray, huber: float = HUBER) -> FloatArray:
-    """Whitened residuals whose squares grow linearly beyond so many standard errors."""
+    """Whitened residuals, of any shape, whose squares grow linearly beyond `huber` standard errors."""
     size = np.abs(rows)
     return np.where(size > huber, np.sign(rows) * np.sqrt(huber * (2 * np.maximum(size, huber) - huber)), rows)
 
@@ -84,7 +92,7 @@ def forces_of_many(
 
 
 def forces_at(values: FloatArray, inputs: FloatArray, wheel: Wheel, model: ContactModel | None) -> FloatArray:
-    """The same of one soil, (n, 3)."""
+    """The same of one soil, `values` (8,) or (12,), by state: (n, 3). [N]"""
     return np.asarray(forces_of_many(values[None], inputs, wheel, model)[0].T)
 
 
@@ -98,6 +106,8 @@ def whitened(residual: Any, slopes: Any, variance: Any, missing: Any) -> Any:
     slopes : (d, 3, 3, n) change of each force (axis 2) by one standard deviation of each input (axis 1). [N]
     variance : (3, n) of the forces themselves. [N^2]
     missing : (3, n) 1 where a force was not measured, else 0.
+
+    Of each state c is the lower triangle of its covariance, l that of its Cholesky factor, w = l^-1 residual.
     """
     white = np.empty_like(residual)
     for d in range(len(residual)):
@@ -126,11 +136,20 @@ def whitened(residual: Any, slopes: Any, variance: Any, missing: Any) -> Any:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointProblem:
-    """States, their forces and errors, and how the model is evaluated.
+    """n states, their forces and errors, and how the model is evaluated. Points are transformed parameters, (d, p).
 
-    `model_error` is a share of the load for each of F_N, F_DP, F_L. With `contact` the parameters of `CONTACT` are
-    unknown too. Residuals beyond `huber` standard errors count linearly. Errors of so many states are `alike` that they
-    count as one.
+    Attributes
+    ----------
+    inputs, input_sigma : sinkage, slip ratio, side slip, and their standard errors. (n, 3) [m, -, deg]
+        A side slip that was not measured is 0, exactly.
+    forces, force_sigma : measured F_N, F_DP, F_L, NaN where not measured, and their standard errors. (n, 3) [N]
+    wheel : of all states.
+    model : choices of the exact integrals, None for the closed form.
+    prior : law of each parameter, by name.
+    model_error : share of the load by which the model misses F_N, F_DP, F_L. (3,) [-]
+    contact : whether the parameters of `CONTACT` are unknown too; p is 12 then, else 8.
+    huber : standard errors beyond which squares of residuals count linearly, infinite for never.
+    alike : of how many states the errors are so much alike that they count as one, 1 or more.
     """
 
     inputs: FloatArray
@@ -152,14 +171,16 @@ class JointProblem:
 
     @property
     def center(self) -> FloatArray:
+        """Transforms of the medians of the prior. (p,)"""
         return np.array([self.prior[name].center for name in self.names])
 
     @property
     def width(self) -> FloatArray:
+        """Standard deviations of the prior, of the transforms. (p,)"""
         return np.array([self.prior[name].width for name in self.names])
 
     def at(self, point: FloatArray) -> FloatArray:
-        """Forces of all states, (n, 3), at transformed parameters."""
+        """Forces of all states, (n, 3), at transformed parameters (p,). [N]"""
         return forces_at(values_of(self.prior, point), self.inputs, self.wheel, self.model)
 
     def residuals_and_slopes(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -192,7 +213,7 @@ class JointProblem:
         return rows if np.isinf(self.huber) else tempered(rows, self.huber)
 
     def objective(self, point: FloatArray) -> float:
-        """-2 ln of the posterior at a point, up to a constant."""
+        """-2 ln of the posterior at a point (p,), up to a constant."""
         away = (point - self.center) / self.width
         return float(np.sum(self.white(point[None]) ** 2) + np.sum(away**2))
 
@@ -221,6 +242,10 @@ def problem_of(
     model_error: tuple[float, float, float],
     contact: bool = False,
 ) -> JointProblem:
+    """The problem of the `usable` states (m,) of all; other arguments as of `JointProblem`.
+
+    Where a side slip was not measured it is taken as 0, and the lateral force of the state is not used.
+    """
     values, sigmas = states.values[usable], states.sigmas[usable]
     inputs, spread = values[:, :3].copy(), sigmas[:, :3].copy()
     no_side = ~np.isfinite(inputs[:, 2])
@@ -231,6 +256,7 @@ def problem_of(
 
 
 def part_of(problem: JointProblem, rows: BoolArray | IndexArray) -> JointProblem:
+    """The problem of some of its states."""
     parts = {name: getattr(problem, name)[rows] for name in ("inputs", "input_sigma", "forces", "force_sigma")}
     return replace(problem, **parts)
 
@@ -248,8 +274,8 @@ MOST_STATES = 200
 """States that laws are compared on, and that teach what a law misses: of more so many, so that it takes seconds, and a
 quarter of them for readings of columns, each of which is a fit; assumed."""
 GRADIENT = 1e-7
-"""Slope of the logarithm of the posterior at which shares are found; last digits, which differ between processors,
-would else move what is told by per cents."""
+"""Slope of the logarithm of the posterior at which the search for shares ends; last digits, which differ between
+processors, would else move what is reported by per cents."""
 TAIL_RATE = 0.1
 """Of the law gamma(2, 0.1) of a Student law's degrees of freedom (Juárez & Steel 2010, 10.1198/jbes.2009.07145)."""
 
@@ -257,7 +283,8 @@ TAIL_RATE = 0.1
 def error_covariance(problem: JointProblem, slopes: FloatArray, shares: FloatArray) -> FloatArray:
     """Of the forces of each state: measurement, what input errors make of it, and the model's. (n, 3, 3) [N^2]
 
-    `slopes` (3 inputs, 3 forces, n) are those of one standard deviation; forces not measured get a variance of 1.
+    `slopes` (3 inputs, 3 forces, n) are those of one standard deviation [N], `shares` (3,) the model's errors as shares
+    of the load; forces not measured get a variance of 1.
     """
     covariance = np.asarray(np.einsum("kan,kbn->nab", slopes, slopes), dtype=np.float64)
     variance = problem.force_sigma**2 + (shares * np.abs(problem.forces[:, :1])) ** 2
@@ -270,7 +297,11 @@ def error_covariance(problem: JointProblem, slopes: FloatArray, shares: FloatArr
 
 
 def _fitted(problem: JointProblem, point: FloatArray, freedom: float, count: int) -> FloatArray:
-    """Likeliest shares of F_N, F_DP, F_L, (3,), of `count` unknowns: 3, or 1 for one share of all."""
+    """Likeliest shares of the load by which the model misses F_N, F_DP, F_L at a point (p,). (3,) [-]
+
+    freedom : number of parameters that the fit has used up.
+    count : of unknown shares: 3, or 1 for one share of all forces.
+    """
     from scipy.optimize import minimize
 
     missed, slopes = problem.residuals_and_slopes(point[None])
@@ -314,7 +345,8 @@ def shares_of(problem: JointProblem, point: FloatArray, freedom: float) -> tuple
 def neighbours(values: FloatArray, radius: float) -> IndexArray:
     """Number of each state's group of neighbours in sinkage, slip and side slip, at most 8. (n,)
 
-    All are halved along their longest side until there are enough; sinkage counts in radii, side slip in 90 deg.
+    `values` begin with sinkage [m], slip ratio, side slip [deg] (n, 3 or more), `radius` is the wheel's [m]. Groups are
+    halved along their longest side until there are enough; sinkage counts in radii, side slip in 90 deg.
     """
     scaled = np.column_stack([values[:, 0] / radius, values[:, 1], np.nan_to_num(values[:, 2]) / 90])
     parts = [np.arange(len(scaled))]
@@ -365,8 +397,8 @@ def tail_of(white: FloatArray) -> float:
 
 
 SLIPS, ANGLES_DEG, SMOOTH = (0.15, 0.4, 1.0), (8.0, 20.0, 50.0), (0.0, 0.3, 0.6, 0.9)
-"""Their prior, even over these: differences of slip and side slip over which what is missed changes, and the share of
-its variance that is smooth; assumed."""
+"""Prior of the Gaussian process, even over these: differences of slip [-] and side slip [deg] over which what a law
+misses changes, and the share of its variance that is smooth; assumed."""
 ALIKE, LEAST_ELSEWHERE = (0.6, 30.0), (0.4, 0.1, 0.1)
 """How far off in slip [-] and side slip [deg] from the states that taught it a law is as wrong as it is elsewhere;
 assumed, some steps between states of wheel tests. Share of the load by which a law misses F_N, F_DP, F_L where nothing
@@ -401,9 +433,10 @@ class Misfit:
 
     Attributes
     ----------
-    lesson, model : of which soil it is asked.
-    weights : of what was missed, 0 where it was not measured. (3, n, m)
-    sigma : standard deviation of a new state's own, as a share of the load. (n, 3)
+    lesson : states that taught the law; None where they are not known, and then its mean is 0.
+    model : choices of the exact integrals, None for the closed form.
+    weights : of what was missed at each of the m states of the lesson, 0 where it was not measured. (3, n, m) [-]
+    sigma : standard deviation about that mean, as a share of the load. (n, 3) [-]
     """
 
     lesson: Lesson | None
@@ -465,7 +498,10 @@ def shares_at(model_error: Sequence[float], taught: FloatArray, motion: FloatArr
 
 def _predicted(values: FloatArray, taught: FloatArray, asked: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Weights of values of unit variance in the mean (n, m), and what is left of their variance (n,), averaged over how
-    smooth they may be."""
+    smooth they may be.
+
+    `values` (m,) are those at the slips and side slips `taught` (m, 2), `asked` (n, 2) where they are predicted.
+    """
     tried, roots, ln_likely = list(itertools.product(SLIPS, ANGLES_DEG, SMOOTH)), list[FloatArray](), list[float]()
     for slip, angle, smooth in tried:
         places = taught / [slip, angle]
@@ -484,6 +520,6 @@ def _predicted(values: FloatArray, taught: FloatArray, asked: FloatArray) -> tup
 
 
 def _alike(one: FloatArray, other: FloatArray) -> FloatArray:
-    """Matern 3/2: how alike two places are. (n, m)"""
+    """Matern 3/2: correlation of places (n, 2) with places (m, 2), in units of the length of correlation. (n, m)"""
     apart = np.sqrt(3.0 * ((one[:, None] - other) ** 2).sum(axis=2))
     return np.asarray((1.0 + apart) * np.exp(-apart))

@@ -87,7 +87,14 @@ class BalancedStates:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TotalsPosterior:
-    """The belief after it, chi-square of sinkages and of totals, and how many of each there were."""
+    """What the states teach.
+
+    Attributes
+    ----------
+    belief : of the soil after them.
+    chi_square : of sinkages, and of totals.
+    values : how many of each there were.
+    """
 
     belief: SoilBelief
     chi_square: tuple[float, float]
@@ -102,7 +109,16 @@ class TotalsPosterior:
 
 @dataclass(frozen=True, slots=True)
 class _Problem:
-    """As `find_mode` reads it: points are the belief's, whitened.
+    """As `find_mode` reads it: points (d, 8) are the belief's transforms, whitened: mean + root point.
+
+    Attributes
+    ----------
+    states : m wheels at p poses.
+    wheel : of all states.
+    belief : of the soil before.
+    root : Cholesky factor of its covariance. (8, 8)
+    model_error : share of the load by which the model may miss each force. [-]
+    frozen : sinkage for each newton of load at the soil of an earlier fit; None for that of each point. (p, m) [m/N]
 
     Errors of the inputs follow the soil through the model's slopes, as the true inputs are unknowns of their own. What
     the model itself misses does not: `frozen` is its sinkage for each newton at the soil of an earlier fit. Otherwise
@@ -118,10 +134,12 @@ class _Problem:
 
     @property
     def center(self) -> FloatArray:
+        """Of the prior, in whitened parameters: the belief's mean. (8,)"""
         return np.zeros(len(self.root))
 
     @property
     def width(self) -> FloatArray:
+        """Standard deviations of the prior, in whitened parameters: 1. (8,)"""
         return np.ones(len(self.root))
 
     def white(self, points: FloatArray) -> FloatArray:
@@ -129,6 +147,7 @@ class _Problem:
         return tempered(self.residuals(points))
 
     def objective(self, point: FloatArray) -> float:
+        """-2 ln of the posterior at a point (8,), up to a constant."""
         return float(np.sum(self.white(point[None]) ** 2) + point @ point)
 
     def residuals(self, points: FloatArray) -> FloatArray:
@@ -197,7 +216,7 @@ class _Problem:
         return z.reshape(shape), force[:, :, 0].transpose(0, 2, 1).reshape(*shape, 3), slopes
 
     def _at(self, soils: FloatArray, sinkage: FloatArray, slip: FloatArray) -> FloatArray:
-        """Forces (d, 3, n) at sinkages (d, n) and slips (n, 2)."""
+        """Forces (d, 3, n) [N] on soils (d, 8) at sinkages (d, n) [m], slips and side slips (n, 2) [-, deg]."""
         inputs = np.column_stack([np.zeros(len(slip)), slip])
         return forces_of_many(soils, inputs, self.wheel, None, sinkage=sinkage)
 

@@ -35,8 +35,16 @@ if TYPE_CHECKING:
 
 
 class _GivenSite(NamedTuple):
-    """A site as it was given: what is compared, curves of single states by aspect, file to SHA-256, whose wheel, and
-    what is left open of the site; None for what the input does not say."""
+    """A site as it was given; None for what the input does not say.
+
+    Attributes
+    ----------
+    site : parameters that are compared.
+    curves : of single states by aspect, as results have them.
+    inputs : SHA-256 of each file by its name.
+    wheel : the wheel that a result is for: `of` (rover or file), `width_m`, and `name` where it has one.
+    left_open : what the result leaves open of the site.
+    """
 
     site: Site
     curves: Mapping[str, Any] | None = None
@@ -62,6 +70,7 @@ class ComparedSoils(Result):
     curves : of single states by aspect, for the picture; None where the site was given by numbers.
     undetermined : by aspect, parameters that the result hardly tells, with the share of the prior's width left. [-]
     remarks : what that means for the order of soils.
+    origin : files, tables and sources that it was made from.
     """
 
     schema: ClassVar[str] = "regolith-compare/1"

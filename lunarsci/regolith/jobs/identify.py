@@ -82,9 +82,16 @@ def alone_title(held: Mapping[str, float]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class StatesOfWheel:
-    """Wheel states, the rover or wheel as it was named, the wheel, where all come from, and guesses in its file.
+    """Wheel states and the wheel that they are of.
 
-    `called` is the name in its file.
+    Attributes
+    ----------
+    states : as read.
+    rover, wheel : the rover or wheel as it was named, and its wheel.
+    origin : files, tables and sources that all comes from.
+    assumed : keys of the rover's file that are guesses, and those of the wheel that it leaves to the usual numbers.
+    called : its name in its file.
+    named_by : `option`, `table` (the column `rover` of the states), or `default` where nothing names it.
     """
 
     states: WheelStates
@@ -142,6 +149,7 @@ class IdentifiedSoil(Result):
     called : its name in its file.
     named_by : `option`, `table` (the column `rover` of the states), or `default` where nothing names it.
     read_as, questions : how columns of the table were read, and what to ask of them.
+    origin : files, tables and sources that it was made from.
     """
 
     schema: ClassVar[str] = "regolith-identify/1"

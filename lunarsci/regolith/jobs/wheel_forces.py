@@ -87,6 +87,7 @@ class ForcesOnWheel(Result):
     traction : figures of the loaded wheel; None for a single slip, and for a sinkage.
     assumed : keys of the rover's file that are guesses.
     called : its name in its file.
+    origin : files, tables and sources that it was made from.
     """
 
     schema: ClassVar[str] = "regolith-forces/1"
