@@ -58,7 +58,7 @@ class HeightGrid:
     height_m : NaN where unknown; row is y, column is x. (ny, nx) [m]
     layers : further numbers, one or one for each node, by name.
     synthetic : True for made-up ground.
-    made_for : what else the file says, None where it says nothing.
+    made_for : JSON of the rover that the ground was made for, None where the file names none.
     crs : the coordinate system of x and y as well-known text; empty where none is named.
     crs_of_file : that of the file, which may be another one.
     unit : of the heights, as the file states it; empty where it states none.

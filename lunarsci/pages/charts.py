@@ -267,6 +267,7 @@ def _left_of_prior(document: Document) -> Drawn:
 
 
 def _unshrunk(parameter: Mapping[str, Any]) -> float | None:
+    """Width left of the prior's: the key `shrinkage` of soils is 1 less it, a ratio of standard deviations."""
     shrinkage = parameter.get("shrinkage")
     return None if shrinkage is None else 1.0 - float(shrinkage)
 

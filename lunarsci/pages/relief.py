@@ -25,7 +25,8 @@ WAYS = {
     "twin-plan": ("planned", "path.csv"),
     "twin-states": ("driven", "motion.csv"),
 }
-"""By the kind of a result what its way is called, and the table that has it."""
+"""By the kind of a result what its way is called, and the table that has it. Planned ways are dashed; of predicted
+ones, many drives, only some are drawn."""
 HOLE, FULL = -32768, 32000
 """A node without a height, and the highest, in the whole numbers of the page."""
 

@@ -32,7 +32,8 @@ OTHER_UNITS: dict[str, dict[str, float]] = {
     "lateral_modulus_mm": {"cm": 10.0, "m": 1e3, "in": 25.4},
 }  # fmt: skip
 """Other units of soil parameters with their size in the unit of the name: by definition (1 in = 25.4 mm, 1 lbf/in2 =
-6894.76 Pa). Tenths and tens are of a digit too many, or one that is missing."""
+6894.76 Pa). Stiffness in psi is that of N = 1, about which units are asked. Tenths and
+tens are of a digit too many, or one that is missing."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)

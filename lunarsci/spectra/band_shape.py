@@ -19,7 +19,7 @@ from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.compiled.formulas import LANES, formula
 from lunarsci.compiled.lanes import choose, highest, load, logarithm, lowest, root, spread, store
 from lunarsci.spectra.continuum import CONTINUA, TERMS, TIE_ROWS, Indices, Ties
-from lunarsci.spectra.noise import uncounted
+from lunarsci.spectra.noise import uncounted_rows
 
 ORDER = 4
 SIZE = ORDER + 1
@@ -97,7 +97,7 @@ def polynomial(x: Any, c0: Any, c1: Any, c2: Any, c3: Any, c4: Any) -> Any:
     return c0 + x * (c1 + x * (c2 + x * (c3 + x * c4)))
 
 
-@uncounted
+@uncounted_rows
 def fit(table: Any, scalars: Any, ratio: int, first: int, behind: int, count: int) -> None:
     """Weighted least-squares polynomial of a ratio: factor of its normal matrix, coefficients, residuals.
 
@@ -198,7 +198,7 @@ def _sorted_in(
     return choose(leads, x, first), second, choose(leads, here, least), next_least
 
 
-@uncounted
+@uncounted_rows
 def minima(scalars: Any) -> None:
     """x of the lowest and the second lowest minimum within the window, -1 to 1, and whether there are such."""
     first, second, least, next_least = spread(0.0), spread(0.0), spread(np.inf), spread(np.inf)
@@ -257,7 +257,7 @@ class BandGrid(NamedTuple):
     ties: Ties
 
 
-@uncounted
+@uncounted_rows
 def smooth(smoother: Smoother, table: Any, source: int, out: int) -> None:
     """Rows from `out` on take what the operator makes of those from `source` on."""
     firsts, weights = smoother
@@ -275,7 +275,7 @@ def _along(along: Any, residual: Any, slope: Any, heft: Any, share: Any, per_dep
     return along * heft, -of_share, total + of_share * share
 
 
-@uncounted
+@uncounted_rows
 def slopes(grid: BandGrid, work: BandWork, first: int, behind: int, out: int) -> Any:
     """Derivatives to each reflectance, into rows, of a quantity whose derivatives to the coefficients are in RIGHT; its
     variance."""
@@ -300,7 +300,7 @@ def slopes(grid: BandGrid, work: BandWork, first: int, behind: int, out: int) ->
     return per_channel(grid, work, first, behind, out, total)
 
 
-@uncounted
+@uncounted_rows
 def per_channel(grid: BandGrid, work: BandWork, first: int, behind: int, out: int, of_deepest: Any) -> Any:
     """Derivatives to both ratios, OF_RATIO and OF_CURVE, into derivatives to the reflectance; the variance.
 
@@ -349,7 +349,7 @@ def _parts(
     return of_curve * per_level, -(of_ratio * ratio + of_curve * curve) * per_level, of_ratio * per_level
 
 
-@uncounted
+@uncounted_rows
 def _to_ties(work: BandWork, one: Any, two: Any, three: Any, count: int) -> None:
     """What derivatives to the level give to the channels of the continuum's terms; the hull's nodes have theirs."""
     table, scalars, tie = work.table, work.scalars, work.tie[CHOSEN]
@@ -361,7 +361,7 @@ def _to_ties(work: BandWork, one: Any, two: Any, three: Any, count: int) -> None
             table[ONTO * count + tie[term, lane], lane] += scalars[OF_TERM + term, lane]
 
 
-@uncounted
+@uncounted_rows
 def _smoothed_back(smoother: Smoother, table: Any, out: int) -> Any:
     """Add what the smoothed reflectance of other channels takes from each; the variance."""
     firsts, weights = smoother
@@ -396,7 +396,7 @@ def _deeper(value: Any, j: Any, least: Any, place: Any) -> Any:
     return choose(below, value, least), choose(below, j, place)
 
 
-@uncounted
+@uncounted_rows
 def deepest_of(table: Any, curve: int, low: int, high: int, count: int) -> Any:
     """The lowest value of a curve, and its channel, the first where there are several."""
     least, place = load(table, curve * count + low), spread(float(low))
@@ -412,7 +412,7 @@ def _goes_on(value: Any, j: Any, place: Any, below: Any, alive: Any) -> Any:
     return choose(abs(place - j) < 0.5, 1.0, choose(here, 1.0, 0.0))
 
 
-@uncounted
+@uncounted_rows
 def _connected(table: Any, scalars: Any, curve: int, band: IntArray, below: Any, count: int) -> Any:
     """Which channels are connected with the deepest one, below a level; how many they are."""
     place = load(scalars, PLACE)
@@ -433,7 +433,7 @@ def _connected(table: Any, scalars: Any, curve: int, band: IntArray, below: Any,
     return number
 
 
-@uncounted
+@uncounted_rows
 def has_any(scalars: Any, row: int) -> bool:
     """Whether a row is above 0 in any lane."""
     there = False
@@ -442,7 +442,7 @@ def has_any(scalars: Any, row: int) -> bool:
     return there
 
 
-@uncounted
+@uncounted_rows
 def window_of(grid: BandGrid, work: BandWork, which: int, band: IntArray, low: float, high: float, wide: bool) -> Any:
     """The channels that are connected with the deepest one and deep enough; their weights into HEFT.
 
@@ -484,7 +484,7 @@ def _weights(value: Any, inside: Any, per_depth: Any, low: Any, per_share: Any) 
     return share, inside * (s * s * (3.0 - s * 2.0)), inside * (s * (1.0 - s) * per_share * 6.0)
 
 
-@uncounted
+@uncounted_rows
 def _weigh(
     wavelength_nm: FloatArray, table: Any, scalars: Any, curve: int, low: Any, per_share: Any, first: int, behind: int
 ) -> None:
@@ -565,7 +565,7 @@ def _difference(scalars: Any, x: Any, other: Any) -> None:
         one, two = one * x, two * other
 
 
-@uncounted
+@uncounted_rows
 def _minimum(grid: BandGrid, work: BandWork, first: int, behind: int, row: int) -> None:
     """The minimum in a window; derivatives of wavelength and depth into rows from `row` on."""
     table, scalars = work.table, work.scalars
@@ -586,7 +586,7 @@ def _minimum(grid: BandGrid, work: BandWork, first: int, behind: int, row: int) 
         _add_rival(grid, work, first, behind)
 
 
-@uncounted
+@uncounted_rows
 def _add_rival(grid: BandGrid, work: BandWork, first: int, behind: int) -> None:
     """What it adds to the variance of the centre that the second minimum may truly be the lower one. [nm2]
 
@@ -603,7 +603,7 @@ def _add_rival(grid: BandGrid, work: BandWork, first: int, behind: int) -> None:
             scalars[MINIMUM_RIVAL, lane] += 0.5 * math.erfc(scalars[OF_TERM, lane] / math.sqrt(2.0)) * apart * apart
 
 
-@uncounted
+@uncounted_rows
 def shape(grid: BandGrid, work: BandWork, band: IntArray, bias: float, least: float) -> None:
     """Measure a band under the continuum chosen for each spectrum; the result is in the rows from `HAS_SHAPE` on.
 
@@ -642,7 +642,7 @@ def _remember_wide(scalars: Any, bias2: Any) -> None:
     store(scalars, UNSAID, load(scalars, MINIMUM_RIVAL) + bias2)
 
 
-@uncounted
+@uncounted_rows
 def _variance(table: Any, row: int, count: int) -> Any:
     """Variance of a quantity whose derivatives to each reflectance are in rows."""
     total = spread(0.0)
@@ -677,7 +677,7 @@ def _blend(part: Any, wide: Any, narrow: Any) -> Any:
     return choose(part < 1.0, part * wide + (1.0 - part) * narrow, wide)
 
 
-@uncounted
+@uncounted_rows
 def _join(table: Any, scalars: Any, count: int) -> None:
     """Centre, depth, and the centre's variance that is not of first order, of the wide and the narrow window together.
 
@@ -704,7 +704,7 @@ def _deep(wavelength_nm: Any, steps_nm: Any, center_nm: Any, ratio: Any) -> Any:
     return side, (1.0 - ratio) * steps_nm
 
 
-@uncounted
+@uncounted_rows
 def _areas(grid: BandGrid, work: BandWork, band: IntArray) -> Any:
     """Area and asymmetry, and the derivatives of both to each reflectance; what 1 nm of centre does to the latter.
 
@@ -744,7 +744,7 @@ def _gaussian_terms(curve: Any, heft: Any, x: Any) -> Any:
     return heft, heft * x, heft * logarithm(deep)
 
 
-@uncounted
+@uncounted_rows
 def _gaussian_centre(grid: BandGrid, work: BandWork, band: IntArray) -> Any:
     """Centre of a Gaussian through the deeper half of the smoothed band; NaN where there is none. [nm]
 

@@ -23,7 +23,7 @@ class Band:
 
     Attributes
     ----------
-    window_nm, centre_nm, reach_nm : its window, where its centre may lie, what a spectrum must reach. [nm]
+    window_nm, center_range_nm, reach_nm : its window, where its centre may lie, what a spectrum must reach. [nm]
     key : of its names in JSON, such as `bc1000_nm`.
     others : what else absorbs nearby.
     bias : standard deviation of the bias of a minimum in the wide window, in half widths of that. [-]
@@ -33,7 +33,7 @@ class Band:
 
     key: str
     window_nm: tuple[float, float]
-    centre_nm: tuple[float, float]
+    center_range_nm: tuple[float, float]
     reach_nm: tuple[float, float]
     others: str
     bias: float
@@ -229,12 +229,13 @@ def places_of(grid: BandGrid, wanted: int) -> Places:
     """Where the bands lie among these channels, and the continua to try, the wanted one first."""
     wavelength = grid.wavelength_nm
     bands = [
-        [*channels_within(wavelength, band.window_nm), *channels_within(wavelength, band.centre_nm)] for band in BANDS
+        [*channels_within(wavelength, band.window_nm), *channels_within(wavelength, band.center_range_nm)]
+        for band in BANDS
     ]
     missing = [_missing(wavelength[low:high], band) for (low, high, _, _), band in zip(bands, BANDS, strict=True)]
     order = [which for which in dict.fromkeys((wanted, HULL, LINEAR)) if grid.ties.available[which]]
     order += [-1] * (len(CONTINUA) - len(order))
-    limits = np.array([band.centre_nm for band in BANDS])
+    limits = np.array([band.center_range_nm for band in BANDS])
     bias, least = np.array([(band.bias, band.least) for band in BANDS]).T.copy()
     codes = np.array(missing, np.int64), np.array(order, np.int64)
     low, high = min(band[0] for band in bands), max(band[1] for band in bands)
@@ -266,7 +267,12 @@ def sentence(code: int, band: Band, deepest_nm: float, wavelength_nm: FloatArray
     if inside.size and (gap := wide_gap(inside, first, last)):
         return "no result: no usable channel from {:g} to {:g} nm".format(*gap)
     return SENTENCES[STATUSES[code]].format(
-        deepest=deepest_nm, low=band.centre_nm[0], high=band.centre_nm[1], others=band.others, first=first, last=last
+        deepest=deepest_nm,
+        low=band.center_range_nm[0],
+        high=band.center_range_nm[1],
+        others=band.others,
+        first=first,
+        last=last,
     )
 
 

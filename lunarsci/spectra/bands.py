@@ -81,7 +81,7 @@ from lunarsci.spectra.continuum import (
     tie_down,
     ties_of,
 )
-from lunarsci.spectra.noise import WINDOW, running_medians, take_eight, uncounted
+from lunarsci.spectra.noise import WINDOW, running_medians, take_eight, uncounted_rows
 from lunarsci.spectra.spectrum import Smoothing, Spectrum, smoothing_operator
 
 CHUNK = 512
@@ -142,7 +142,7 @@ def _code(least_level: Any, highest: Any, depth: Any, end: Any, inner: Any, nm: 
     return choose(above, choose(depth < LEAST_DEPTH, nowhere, result), STATUS.continuum_falls_to_zero)
 
 
-@uncounted
+@uncounted_rows
 def judge(grid: BandGrid, places: Places, work: BandWork, number: int, which: int) -> None:
     """What is against a continuum over a band, where the band is deepest under it, and its centre.
 
@@ -175,7 +175,7 @@ def judge(grid: BandGrid, places: Places, work: BandWork, number: int, which: in
     store(scalars, OTHER_NM + which, centre(work, which, first, behind, count))
 
 
-@uncounted
+@uncounted_rows
 def centre(work: BandWork, which: int, first: int, behind: int, count: int) -> Any:
     """Centre in the window of channels `first` to before `behind` of `count`, NaN where there is none. [nm]"""
     scalars = work.scalars
@@ -187,7 +187,7 @@ def centre(work: BandWork, which: int, first: int, behind: int, count: int) -> A
     )
 
 
-@uncounted
+@uncounted_rows
 def go_on(places: Places, scalars: Any, lane: int, numbers: FloatArray, codes: Codes) -> bool:
     """Turn to the next continuum that nothing is against, and record of the others what is; whether there is one.
 
@@ -206,7 +206,7 @@ def go_on(places: Places, scalars: Any, lane: int, numbers: FloatArray, codes: C
     return False
 
 
-@uncounted
+@uncounted_rows
 def record(places: Places, scalars: Any, lane: int, which: int, code: int, numbers: FloatArray, codes: Codes) -> None:
     """Write a code of a continuum as status where it is the answer, as note where another was wanted.
 
@@ -225,7 +225,7 @@ def _picked(conic: Any, hull: Any, first: Any, second: Any, third: Any) -> Any:
     return choose(conic, first, choose(hull, second, third))
 
 
-@uncounted
+@uncounted_rows
 def chosen_continuum(grid: BandGrid, places: Places, work: BandWork) -> None:
     """Put what belongs to the continuum that each spectrum is tried under where `shape` looks for it."""
     table, scalars, count = work.table, work.scalars, grid.wavelength_nm.size
@@ -251,7 +251,7 @@ def chosen_continuum(grid: BandGrid, places: Places, work: BandWork) -> None:
             store(table, (ROW.CHOSEN_WEIGHT + term) * count + j, value)
 
 
-@uncounted
+@uncounted_rows
 def verdict(limits_nm: FloatArray, scalars: Any, lane: int) -> int:
     """Code of the band measured in a lane, whose centre is to lie within limits. [nm]"""
     center_nm, depth = scalars[ROW.SHAPE_NM, lane], scalars[ROW.SHAPE_DEPTH, lane]
@@ -323,7 +323,10 @@ def curve_of_centre(
     work, which, count = _work(grid), CONTINUA.index(continuum_name), grid.wavelength_nm.size
     table, inside = (
         work.table,
-        [*channels_within(grid.wavelength_nm, band.window_nm), *channels_within(grid.wavelength_nm, band.centre_nm)],
+        [
+            *channels_within(grid.wavelength_nm, band.window_nm),
+            *channels_within(grid.wavelength_nm, band.center_range_nm),
+        ],
     )
     take_eight(np.ascontiguousarray(reflectance[None], float), 0, table, ROW.VALUES * count)
     smooth(grid.smoother, table, ROW.VALUES * count, SMOOTHED * count)
@@ -354,7 +357,7 @@ def _polynomial(
     return np.linspace(counting[0], counting[-1], DRAWN), middle + half * float(scalars[ROW.LOWEST, 0]), there, curve
 
 
-@uncounted
+@uncounted_rows
 def _measure(
     grid: BandGrid, places: Places, values: FloatArray, noise: FloatArray, shifts: FloatArray, work: BandWork,
     numbers: FloatArray, codes: Codes,
@@ -381,7 +384,7 @@ def _measure(
             )
 
 
-@uncounted
+@uncounted_rows
 def _noise(table: Any, count: int) -> None:
     """Scatter of the channels, taken to follow the root of the signal as that of photons does."""
     brightest = load(table, ROW.VALUES * count)
@@ -398,7 +401,7 @@ def _noise(table: Any, count: int) -> None:
         store(table, ROW.NOISE * count + j, load(table, ROW.NOISE * count + j) * load(table, ROW.SPARE * count + j))
 
 
-@uncounted
+@uncounted_rows
 def _remove(table: Any, which: int, low: int, high: int, count: int) -> None:
     """Reflectance and smoothed reflectance over a continuum's level at channels `low` to before `high`."""
     for j in range(low, high):
@@ -409,7 +412,7 @@ def _remove(table: Any, which: int, low: int, high: int, count: int) -> None:
         store(table, (ROW.CURVE + which) * count + j, load(table, SMOOTHED * count + j) * per_level)
 
 
-@uncounted
+@uncounted_rows
 def _measure_band(
     grid: BandGrid, places: Places, work: BandWork, number: int, shifts: FloatArray, numbers: FloatArray, codes: Codes
 ) -> None:
@@ -446,7 +449,7 @@ def _measure_band(
                     waiting = go_on(places, scalars, lane, numbers[lane, number], codes[lane, number]) or waiting
 
 
-@uncounted
+@uncounted_rows
 def _fill(grid: BandGrid, work: BandWork, lane: int, which: int, shifts: FloatArray, numbers: FloatArray) -> None:
     """The numbers, (18,), of a band that is there, with what other continua and another definition of the centre differ
     by. `shifts` are those of its spectrum, (k, n)."""
@@ -475,7 +478,7 @@ def _fill(grid: BandGrid, work: BandWork, lane: int, which: int, shifts: FloatAr
     numbers[NUMBER.center_method_nm] = np.fmax(numbers[NUMBER.center_systematic_nm], numbers[NUMBER.center_gaussian_nm])
 
 
-@uncounted
+@uncounted_rows
 def _shared(table: Any, row: int, lane: int, shifts: FloatArray) -> float:
     """Standard deviation of a quantity from errors that channels share, (k, n); its derivatives are in `row`."""
     total = 0.0

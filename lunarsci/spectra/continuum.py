@@ -18,7 +18,7 @@ from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.compiled.formulas import LANES, formula
 from lunarsci.compiled.lanes import aligned, choose, load, spread, store
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.spectra.noise import take_eight, uncounted
+from lunarsci.spectra.noise import take_eight, uncounted_rows
 
 ContinuumName = Literal["conic", "hull", "linear"]
 CONTINUA: tuple[ContinuumName, ...] = get_args(ContinuumName)
@@ -126,7 +126,7 @@ def upper_hull(x: FloatArray, y: FloatArray) -> list[int]:
     return [int(i) for i in hull[: hull_chain(np.ascontiguousarray(x), np.ascontiguousarray(y), hull)]]
 
 
-@uncounted
+@uncounted_rows
 def hull_chain(x: FloatArray, y: FloatArray, hull: Indices) -> int:
     """Put the upper convex hull of points (n,) with ascending x into `hull` (n,); how many they are.
 
@@ -147,7 +147,7 @@ def hull_chain(x: FloatArray, y: FloatArray, hull: Indices) -> int:
     return count + 1
 
 
-@uncounted
+@uncounted_rows
 def _levels(
     which: int,
     ties: Ties,
@@ -168,7 +168,7 @@ def _levels(
                 out[begin + lane, j] = table[(LEVEL + which) * count + j, lane]
 
 
-@uncounted
+@uncounted_rows
 def tie_down(which: int, ties: Ties, table: Any, tie: Indices, nodes: Indices, workspace: FloatArray) -> None:
     """A continuum, its place in `CONTINUA`, of eight smoothed spectra: its LEVEL, and what that is made of.
 
@@ -195,7 +195,7 @@ def tie_down(which: int, ties: Ties, table: Any, tie: Indices, nodes: Indices, w
             store(table, LEVEL * count + j, level)
 
 
-@uncounted
+@uncounted_rows
 def _hull_lines(wavelength_nm: FloatArray, table: Any) -> None:
     """Straight lines between nodes, of which the first and the last channel are."""
     count = wavelength_nm.size
@@ -223,7 +223,7 @@ def _highest_of(value: Any, j: Any, at_nm: Any, highest: Any, place: Any, place_
     return choose(above, value, highest), choose(above, j, place), choose(above, at_nm, place_nm)
 
 
-@uncounted
+@uncounted_rows
 def _straight_lines(ties: Ties, table: Any, tie: Indices) -> None:
     """Between the highest points of the shoulders, two or three, extended beyond the first and the last."""
     wavelength_nm, shoulders, count, number = ties.wavelength_nm, ties.shoulders, ties.wavelength_nm.size, 0
@@ -249,7 +249,7 @@ def _straight_lines(ties: Ties, table: Any, tie: Indices) -> None:
     _between(wavelength_nm, table, base, number)
 
 
-@uncounted
+@uncounted_rows
 def _between(wavelength_nm: FloatArray, table: Any, base: int, number: int) -> None:
     """Weights and level of lines through two or three nodes: their values, channels and wavelengths, from `base` on."""
     count = wavelength_nm.size

@@ -11,12 +11,12 @@ from lunarsci.compiled.formulas import LANES, formula
 from lunarsci.compiled.lanes import aligned, choose, highest, load, lowest, spread, store
 
 
-def uncounted(function: Callable[..., Any]) -> Any:
+def uncounted_rows(function: Callable[..., Any]) -> Any:
     """`in_lanes` without counts of who uses an array, which cost more than a short loop; such code can make none."""
     return in_lanes(function, _nrt=False)
 
 
-@uncounted
+@uncounted_rows
 def take_eight(rows: FloatArray, begin: int, table: Any, first: int) -> None:
     """Rows of (m, n) into the lanes of a table, from its row `first` on; the last one again where there are no more."""
     for lane in range(LANES):
@@ -42,7 +42,7 @@ def scatter_noise_rows(values: FloatArray, window: int = WINDOW) -> FloatArray:
     return noise
 
 
-@uncounted
+@uncounted_rows
 def _noise_of_rows(values: FloatArray, window: int, work: Any, noise: FloatArray) -> None:
     """`scatter_noise_rows` into `noise` (rows, n), with a workspace of (3 n + `window`, 8)."""
     channels = values.shape[1]
@@ -54,7 +54,7 @@ def _noise_of_rows(values: FloatArray, window: int, work: Any, noise: FloatArray
                 noise[begin + lane, j] = work[channels + j, lane]
 
 
-@uncounted
+@uncounted_rows
 def running_medians(table: Any, source: int, out: int, channels: int, window: int, second: Any, ordered: Any) -> None:
     """Robust standard deviations of eight spectra, from the medians of absolute second differences in windows.
 
@@ -90,7 +90,7 @@ def _apart(one: Any, other: Any) -> Any:
     return lowest(one, other), highest(one, other)
 
 
-@uncounted
+@uncounted_rows
 def _insert(ordered: Any, count: int, new: Any) -> None:
     """Put a number into the first `count` rows, which ascend."""
     for place in range(count):
@@ -105,7 +105,7 @@ def _without(here: Any, behind: Any, old: Any) -> Any:
     return choose(here < old, here, behind)
 
 
-@uncounted
+@uncounted_rows
 def _replace(ordered: Any, size: int, old: Any, new: Any) -> None:
     """Take one number out of so many rows, which ascend, and put another in."""
     here = load(ordered, 0)

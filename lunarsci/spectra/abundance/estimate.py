@@ -19,7 +19,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.minerals import WEIGHED
-from lunarsci.spectra.abundance.end_members import OPAQUE, CommonChannels, embedded_end_members, on_common_channels
+from lunarsci.spectra.abundance.end_members import CommonChannels, embedded_end_members, on_common_channels
 from lunarsci.spectra.abundance.learned import SHARES, shared_out
 from lunarsci.spectra.abundance.mixing import (
     MixingLaw,
@@ -360,7 +360,8 @@ def estimate_series(
     Parameters
     ----------
     spectra : reflectance factors reaching over 750-2300 nm, up to 500.
-    minerals : two or more of `WEIGHED`, or others that `end_members` holds. `opaque` has a flat embedded end member.
+    minerals : two or more of `WEIGHED`, and others that `end_members` holds, whose shares are left out. `opaque` has a
+        flat embedded end member.
     method : `hapke` mixes single-scattering albedos, `absorbance` mixes -ln R, `unmix` weights both by their evidence.
     end_members : instead of the embedded ones; at least one per mineral, over the channels compared.
     model_error : standard deviation of ln R at 20 nm, above 0 and below 1. [-]
@@ -388,25 +389,28 @@ def estimate_series(
     posteriors = [
         unmix(_suite(data, _powders(law, minerals, library, data), held, fractions, model_error, iron)) for law in laws
     ]
-    return _mixed(
-        posteriors, [WEIGHED.index(name) for name in minerals if name != OPAQUE], model_error, len(spectra) > 1
-    )
+    places = {column: WEIGHED.index(name) for column, name in enumerate(minerals) if name in WEIGHED}
+    return _mixed(posteriors, places, model_error, len(spectra) > 1)
 
 
-def _mixed(posteriors: Sequence[SharesPosterior], places: Sequence[int], model_error: float, series: bool) -> Mixed:
-    """Draws of all laws, as many of each as its evidence says; minerals that are not named have a share of 0."""
+def _mixed(posteriors: Sequence[SharesPosterior], places: Mapping[int, int], model_error: float, series: bool) -> Mixed:
+    """Draws of all laws, as many of each as its evidence says; minerals that are not named have a share of 0.
+
+    `places` are those in `WEIGHED` of columns of the draws; shares of other columns are left out, and the rest is all.
+    """
     evidence = np.array([item.ln_evidence for item in posteriors])
     weight = np.exp(evidence - evidence.max())
     weight /= weight.sum()
     counts = np.maximum(1, np.round(DRAWS * weight).astype(int))
     drawn = zip(posteriors, counts, strict=True)
     draws = np.concatenate([item.draws(int(count), SEED + k) for k, (item, count) in enumerate(drawn)])
-    shares = draws[..., : len(places)] / draws[..., : len(places)].sum(axis=-1, keepdims=True)
+    weighed = draws[..., [*places]]
+    shares = weighed / weighed.sum(axis=-1, keepdims=True)
     square = sum(share * np.mean(item.ln_residual**2, axis=1) for share, item in zip(weight, posteriors, strict=True))
     strain = sum(share * item.strain for share, item in zip(weight, posteriors, strict=True))
     probabilities = np.zeros((draws.shape[1], len(WEIGHED), SHARES.size))
     probabilities[:, :, 0] = 1.0
-    for k, place in enumerate(places):
+    for k, place in enumerate(places.values()):
         probabilities[:, place] = shared_out(shares[:, :, k]).mean(axis=0)
     strange = square / model_error**2 + strain / posteriors[0].ln_residual.shape[1]
     return Mixed(probabilities, np.asarray(strange), np.sqrt(square), series)

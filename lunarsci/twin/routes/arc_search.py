@@ -15,7 +15,7 @@ from scipy.ndimage import binary_erosion, distance_transform_edt
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.compiled import compiled
-from lunarsci.twin.ground.hazards import RoverFootprint, Traversability
+from lunarsci.twin.ground.hazards import COST_CAP, RoverFootprint, Traversability
 from lunarsci.twin.plans.path import arc_end
 
 LARGEST_TURN = 0.75 * np.pi
@@ -40,6 +40,8 @@ SHORTEST_M, FINEST_M, COARSEST_M = 0.1, 0.1, 0.4
 SAME_PER_M = 1e-5
 """Arcs whose curvatures differ by less are one."""
 PENALTY = 1e3
+"""Cost of a metre driven a metre too near to an obstacle [1/m], and floor of the cost of arcs that cannot be driven
+[m]: far above that of a course, so that a search leaves both first. Courses that cost as much are not taken."""
 
 
 class Window(NamedTuple):
@@ -158,8 +160,8 @@ def drive_arc(
             elif value < np.inf:
                 metre = value
             else:
-                nearest, metre = need - 1.0, 100.0
-        metre = min(metre, 100.0)
+                nearest, metre = need - 1.0, COST_CAP
+        metre = min(metre, COST_CAP)
         if nearest < wanted:
             metre *= 1.0 + ((wanted - nearest) / (wanted - need)) ** 2
         cost += metre * ds
