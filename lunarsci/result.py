@@ -331,7 +331,8 @@ def job(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
         object.__setattr__(result, "asked", Asked(f"lunarsci.{function.__name__}", fields, heard))
         return result
 
-    run.__doc__ = f"{inspect.getdoc(function)}\n\n{options_text(kind)}"
+    text, heading, examples = (inspect.getdoc(function) or "").partition("\n\nExamples\n")
+    run.__doc__ = f"{text}\n\n{options_text(kind)}{heading}{examples}"
     return run
 
 

@@ -251,6 +251,10 @@ def cite(*results: Sequence[str | Path | Result] | str | Path | Result) -> Cited
     The sources that a result names, and the works that its tables rest on, such as laboratory spectra, catalogues of
     craters and priors; of reference soils and regressions of bands only those that the result used. Sources that
     differ only in what follows the DOI are one. Raises DataError for what is no result.
+
+    Examples
+    --------
+    >>> works = lunarsci.cite(lunarsci.bands("lunarsci-demo/rock.ecsv"))
     """
     given = [one for some in results for one in ([some] if isinstance(some, str | Path | Result) else some)]
     documents = read_results(given)[0] if given else []

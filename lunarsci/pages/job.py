@@ -80,6 +80,11 @@ def report(
     Raises
     ------
     DataError for what is no result; ParameterError where there is none; OutputError for a page that cannot be written.
+
+    Examples
+    --------
+    >>> bands = lunarsci.bands("lunarsci-demo/rock.ecsv")
+    >>> page = lunarsci.report([bands], "page.html", force=True)
     """
     wanted = request_of(ReportRequest, request, options)
     target = None if path is None else Path(path)

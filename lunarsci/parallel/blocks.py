@@ -270,6 +270,11 @@ def computing(
     """Say where blocks of rows are computed within; the parameters are those of `Computing`.
 
     An error tells, in a note, what was saved. Raises RequestError.
+
+    Examples
+    --------
+    >>> with lunarsci.computing(workers=1):
+    ...     bands = lunarsci.bands("lunarsci-demo/rock.ecsv")
     """
     file = None if keep is None else Path(keep)
     here = Computing(scheduler=scheduler, workers=workers, memory=memory, keep=file, force=force, notify=notify)

@@ -1,10 +1,12 @@
 """Help that teaches: examples that run, completion, manual pages, nearest names, sections of a config file."""
 
+import doctest
 import os
 import re
 import shutil
 import subprocess
 import sys
+import warnings
 from collections.abc import Iterator
 from itertools import combinations
 from pathlib import Path
@@ -14,6 +16,8 @@ import typer
 from lunarsci.cli import command_line, main
 from lunarsci.cli.manual import pages, write
 
+import lunarsci
+from lunarsci.errors import LunarSciWarning
 from lunarsci.minerals import MINERALS
 
 NEEDS_PICTURES_OF_A_BOARD = "images calibrate"
@@ -68,12 +72,14 @@ def test_options_of_the_examples_exist() -> None:
 
 
 @pytest.mark.slow
-def test_examples_run_one_after_the_other(tmp_path: Path, program: Path, demo: Path) -> None:
+def test_examples_run_one_after_the_other(
+    tmp_path: Path, program: Path, demo: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """As a user types them, in an empty folder; exit code 3 says that a result is not to be trusted.
 
     `lunarsci demo` was run before.
 
-    No line is wider than a terminal of 80 columns.
+    No line is wider than a terminal of 80 columns. Examples of Python's functions take the files that are there then.
     """
     environment = os.environ | {"PATH": f"{program}{os.pathsep}{os.environ['PATH']}", "COLUMNS": "80"}
     (tmp_path / "lunarsci-demo").symlink_to(demo / "lunarsci-demo")
@@ -90,6 +96,18 @@ def test_examples_run_one_after_the_other(tmp_path: Path, program: Path, demo: P
             wide += [(line, one) for one in printed if len(one) > 80]
     assert failed == []
     assert wide == [], "\n".join(map(str, wide))
+    monkeypatch.chdir(tmp_path)
+    assert [name for name in lunarsci.__all__[1:] if not python_example_runs(name)] == []
+
+
+def python_example_runs(name: str) -> bool:
+    """Whether there is one in the docstring, and it shows what it says."""
+    example = doctest.DocTestParser().get_doctest(
+        getattr(lunarsci, name).__doc__, {"lunarsci": lunarsci}, name, None, None
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LunarSciWarning)
+        return bool(example.examples) and doctest.DocTestRunner().run(example).failed == 0
 
 
 @pytest.mark.parametrize("words", [[], ["spectra"], ["spectra", "bands"]])

@@ -270,6 +270,10 @@ def calibrate_cameras(
 
     Both are files, or a pattern; pictures of both cameras belong together by the numbers in their names, else in their
     order. Raises RequestError, ParameterError, and DataError where the board is seen too seldom or from one side.
+
+    Examples
+    --------
+    >>> rig = lunarsci.calibrate_cameras("left*.png", "right*.png", board="9x6", square=0.03)  # doctest: +SKIP
     """
     request = request_of(CalibrateCamerasRequest, request, options)
     target, steps = board_target(request), progress or (lambda *_: None)

@@ -162,6 +162,10 @@ def cameras(sources: Sequence[Source] = (), request: CamerasRequest | None = Non
 
     A label, or a file of ROS or OpenCV with one camera, alone is one camera; two are the left and the right one of a
     rig. Raises RequestError and DataError.
+
+    Examples
+    --------
+    >>> rigs = lunarsci.cameras(["lunarsci-demo/rig.toml"], disparity_error=0.2)
     """
     request = request_of(CamerasRequest, request, options)
     given = [sources] if isinstance(sources, str) else list(sources)

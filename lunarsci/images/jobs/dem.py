@@ -119,6 +119,11 @@ def dem(
     """Heights on a grid from the left and the right picture of a stereo rig, each with its errors.
 
     Raises DataError where the pictures are none, do not belong to the rig or do not match, and says why.
+
+    Examples
+    --------
+    >>> demo = ("lunarsci-demo/left.png", "lunarsci-demo/right.png")
+    >>> ground = lunarsci.dem(*demo, rig="lunarsci-demo/rig.toml", pose="lunarsci-demo/pose.toml")
     """
     request = request_of(DemRequest, request, options)
     rig = read_rig(*request.rig.split(",")) if request.rig.count(",") == 1 else read_rig(request.rig)

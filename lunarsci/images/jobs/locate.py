@@ -195,6 +195,10 @@ def locate(
         `mast`.
 
     Raises DataError for folders that are none and pairs that do not match, RequestError for fewer than two.
+
+    Examples
+    --------
+    >>> stations = lunarsci.locate(["lunarsci-demo", "station-2"], rig="lunarsci-demo/rig.toml")
     """
     request = request_of(LocateRequest, request, options)
     whole = [Path(folder).resolve() for folder in stations]

@@ -113,6 +113,10 @@ def merge(
     """One map of the elevation models in two or more files, by inverse variances, common errors kept.
 
     Raises DataError, RequestError, and ParameterError where nothing overlaps.
+
+    Examples
+    --------
+    >>> ground = lunarsci.merge(["dem.npz", "coarse.npz"], spacing=0.1)
     """
     request = request_of(MergeRequest, request, options)
     names = [terrains] if isinstance(terrains, str) else list(terrains)

@@ -140,6 +140,10 @@ def render(
     """Two SYNTHETIC pictures of a terrain (.npz), or of level ground, with roughness, rocks, shadows and noise.
 
     Raises DataError for a terrain that cannot be read, ParameterError where a camera cannot be.
+
+    Examples
+    --------
+    >>> pair = lunarsci.render(rig="lunarsci-demo/rig.toml", samples=1, x=0.5)
     """
     request = request_of(RenderRequest, request, options)
     rig = read_rig(request.rig)

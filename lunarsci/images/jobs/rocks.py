@@ -108,6 +108,10 @@ def rocks(
     """Rocks that stand out of an elevation model, with the share of false ones and of missed ones.
 
     Raises DataError, RequestError, and ParameterError for a grid too coarse.
+
+    Examples
+    --------
+    >>> rocks = lunarsci.rocks("ground/terrain.npz").to_table()
     """
     request = request_of(RocksRequest, request, options)
     inputs = {terrain: read_input(terrain).sha256}

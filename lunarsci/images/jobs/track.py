@@ -151,6 +151,10 @@ def track(
 
     `terrain` is a file of heights with errors as layers. Raises DataError and RequestError, and ParameterError for a
     line that is none.
+
+    Examples
+    --------
+    >>> depths = lunarsci.track("ground/terrain.npz", line="0,1,2.5,1.2", step=0.5).to_table()
     """
     request = request_of(TrackRequest, request, options)
     line = read_line(request.line)

@@ -123,6 +123,10 @@ def compare_soils(
         site.
 
     Raises RequestError, ParameterError for half a pair or values out of range, DataError for what is no such result.
+
+    Examples
+    --------
+    >>> nearest = lunarsci.compare_soils(stiffness=1443.0, exponent=1.0, cohesion=520.0, friction_angle=42.0)
     """
     asked = request_of(CompareSoilsRequest, request, options)
     if (result is None) != asked.stated:

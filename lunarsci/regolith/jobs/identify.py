@@ -269,6 +269,11 @@ def identify(
     progress : called with (done, total).
 
     Raises RequestError, ParameterError for values out of range, DataError for tables that cannot be used.
+
+    Examples
+    --------
+    >>> site = lunarsci.identify("lunarsci-demo/wheel_states.csv", rover="yutu2", lateral_modulus="20")
+    >>> values = site.to_table()["parameter", "value", "sigma", "unit"]
     """
     asked = request_of(IdentifyRequest, request, options)
     given = assumptions_of(asked)

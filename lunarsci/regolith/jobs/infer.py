@@ -107,6 +107,11 @@ def infer(
     progress : called with (done, total).
 
     Raises RequestError, ParameterError for values out of range, DataError for tables that cannot be used.
+
+    Examples
+    --------
+    >>> soil = lunarsci.infer("lunarsci-demo/wheel_states.csv", rover="yutu2")
+    >>> posterior = soil.to_table()
     """
     asked = request_of(InferRequest, request, options)
     assumptions = assumptions_of(asked)

@@ -167,6 +167,10 @@ def wheel_forces(request: WheelForcesRequest | None = None, **options: Any) -> F
 
     Slip beyond 0.6 either way, and readings that only reproduce numbers, are said by a LunarSciWarning. Raises
     RequestError, ParameterError for a state or a soil out of range, DataError for a file that cannot be used.
+
+    Examples
+    --------
+    >>> forces = lunarsci.wheel_forces(load=36.5, slip="0:0.6:13").to_table()
     """
     asked = request_of(WheelForcesRequest, request, options)
     description, slips = read_rover(asked.rover), asked.slips()

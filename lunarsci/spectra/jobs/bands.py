@@ -188,7 +188,13 @@ def bands(
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> MeasuredBands:
-    """Measure the bands of spectra. Raises DataError when none can be read, or none has a result."""
+    """Measure the bands of spectra. Raises DataError when none can be read, or none has a result.
+
+    Examples
+    --------
+    >>> bands = lunarsci.bands("lunarsci-demo/rock.ecsv", continuum="hull")
+    >>> [center_nm] = bands.to_table()["bc1000_nm"]
+    """
     asked = request_of(BandsRequest, request, options)
     smoothing = Smoothing(window_nm=asked.smooth_nm, order=asked.smooth_order, channels=asked.smooth)
     batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit, asked.id)

@@ -122,6 +122,10 @@ def calibrate(
     """Calibrate VNIS observations: one file of each, folders of them, or patterns.
 
     Raises DataError when nothing could be calibrated, or a table of the request cannot be used.
+
+    Examples
+    --------
+    >>> figure = lunarsci.calibrate("scene", photometry="akimov").plot()
     """
     settings = settings_of(request_of(CalibrateRequest, request, options))
     paths, failures = _observations(products)

@@ -194,6 +194,11 @@ def fit(
     progress : called with (done, total) of each step.
 
     Raises RequestError for options that exclude each other; DataError where no spectrum can be read and fitted.
+
+    Examples
+    --------
+    >>> minerals = lunarsci.fit("lunarsci-demo/rock.ecsv", assemblage="OPX-CPX")
+    >>> of_bands, of_spectra = minerals.to_table(), minerals.to_table(parts=False)
     """
     asked = request_of(FitRequest, request, options)
     batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit, asked.id)

@@ -94,6 +94,10 @@ def indices(spectra: "SpectraSource", request: IndicesRequest | None = None, **o
     """Spectral indices of the Moon: integrated band depths, slopes, olivine, spinel, maturity, FeO and TiO2.
 
     Raises DataError when no spectrum can be read, or no index reaches any of them; RequestError for an unknown name.
+
+    Examples
+    --------
+    >>> maturity = lunarsci.indices("lunarsci-demo/rock.ecsv", index=("omat",)).to_table()["omat"]
     """
     asked = request_of(IndicesRequest, request, options)
     names = list(dict.fromkeys(asked.index)) or list(INDICES)

@@ -161,6 +161,10 @@ def match(
     results themselves; the same id in two is one rock. None with `modes` or `bands`, which describe one.
 
     Raises DataError when no rock can be read, ParameterError where no crater can have delivered one.
+
+    Examples
+    --------
+    >>> craters = lunarsci.match(modes="ol=0.25:0.05,opx=0.35:0.05,cpx=0.4:0.05").to_table()
     """
     asked = request_of(MatchRequest, request, options)
     settings, stated = settings_of(asked), None if asked.site is None else _site(asked.site)

@@ -183,6 +183,11 @@ def unmix(
     ------
     RequestError for options that exclude each other; ParameterError for modes of spectra that are not there; DataError
     where no spectrum can be read, and for end members or spectra that cannot be mixed.
+
+    Examples
+    --------
+    >>> shares = lunarsci.unmix("lunarsci-demo/rock.ecsv", kind="solid-rock")
+    >>> figure = shares.plot()
     """
     asked = request_of(UnmixRequest, request, options)
     batch = read_batch(spectra, asked.wavelength_unit, asked.reflectance_unit, asked.id)

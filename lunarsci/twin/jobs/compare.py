@@ -148,6 +148,10 @@ def compare(
     """Hold the prediction in a folder of `lunarsci twin predict -o` against measured wheel states.
 
     Raises DataError for files that do not fit together, and for a belief that knows the drive.
+
+    Examples
+    --------
+    >>> verdict = lunarsci.compare("predicted", "states/states.csv", plan="plan.toml").to_dict()["verdict"]
     """
     asked = request_of(CompareRequest, request, options)
     forecast, inputs = read_forecast(predicted)

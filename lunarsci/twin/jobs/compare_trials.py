@@ -105,6 +105,10 @@ def compare_trials(
     Each drive is predicted from its first pose by the turns of its wheels alone, on every soil, and held against the
     slips, side slips and the end that its positions tell; beside it stands the way of the wheels without slip. A trial
     that cannot be used is told, and the others are scored. Raises BatchError where none can.
+
+    Examples
+    --------
+    >>> scores = lunarsci.compare_trials("drive/telemetry.csv", rover="yutu2").to_table()
     """
     asked = request_of(TrialsRequest, request, options)
     refuse_where({

@@ -214,6 +214,10 @@ def loads(
     """Forces of every wheel along a measured motion; a `plan` has the wheels' commands where the motion has none.
 
     Raises DataError for what cannot be read, RequestError for options that are impossible.
+
+    Examples
+    --------
+    >>> forces = lunarsci.loads("states/motion.csv", states="states/states.csv").to_table()
     """
     asked = request_of(LoadsRequest, request, options)
     inputs = read_drive_inputs(plan, *asked.ground, soil=asked.soil, soil_counts=not asked.uncertain)

@@ -374,6 +374,11 @@ def plan(
     targets are reached leg by leg, and the result is a `PlannedMission`.
 
     Raises DataError and RequestError, and ParameterError where there is no such path.
+
+    Examples
+    --------
+    >>> way = lunarsci.plan(target=(2.0, 0.3))
+    >>> drive = lunarsci.predict(way.files()["plan.toml"]())  # doctest: +SKIP
     """
     asked = request_of(PlanRequest, request, options)
     risk = USUAL if asked.risk is None else AcceptedRisk(asked.risk)

@@ -181,6 +181,11 @@ def predict(
     `plan` is a TOML file or a plan, the embedded one of Yutu-2 if None; options are those of the request.
 
     Raises DataError for what cannot be read, RequestError for options that are impossible.
+
+    Examples
+    --------
+    >>> drives = lunarsci.predict("plan.toml", soil="priors", members=8)
+    >>> answer = drives.untrusted or "go"
     """
     asked = request_of(PredictRequest, request, options)
     inputs = read_drive_inputs(

@@ -122,6 +122,11 @@ def states(
 
     A folder or table of a public data set (`lunarsci.twin.drives.layouts`) has its own rover, gravity and, where no
     terrain is given, a plane by its heights and attitude. Raises DataError for telemetry that cannot be used.
+
+    Examples
+    --------
+    >>> states = lunarsci.states("drive/telemetry.csv", "plan.toml", track="drive/track.csv")
+    >>> slips = states.to_table()["slip_ratio", "slip_ratio_sigma"]
     """
     settings = request_of(StatesRequest, request, options)
     public, below = read_public_drive(telemetry), None

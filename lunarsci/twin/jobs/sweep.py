@@ -107,6 +107,10 @@ def sweep(
 
     Raises DataError for what cannot be read, RequestError for options that are impossible, and for numbers that no
     drive depends on.
+
+    Examples
+    --------
+    >>> designs = lunarsci.sweep("plan.toml", vary=("wheel.radius_m=0.13:0.17:2",), members=4).to_table()
     """
     asked = request_of(SweepRequest, request, options)
     soils = _mission(plans, asked)

@@ -231,6 +231,11 @@ def update(
     """Update what is believed of the soil by measured wheel states of a drive.
 
     Raises DataError for files that cannot be used and a drive that counted before, RequestError for impossible options.
+
+    Examples
+    --------
+    >>> soil = lunarsci.update("states/states.csv", plan="plan.toml", particles=32)
+    >>> posterior = soil.to_table()
     """
     asked = request_of(UpdateRequest, request, options)
     inputs = read_drive_inputs(asked.plan, *asked.ground, soil_counts=False)
