@@ -202,7 +202,7 @@ def _mission() -> str:
         keys = {"name": name, "x_m": x, "y_m": y, "tolerance_m": 0.5, "stay_s": 0.0}
         lines += ["", "[[target]]", *_block(keys, target if name == "near" else {})]
     window, zone = {"begin_s": 0.0, "end_s": 3600.0}, {"name": "boulder", "x_m": 5.0, "y_m": 5.0, "radius_m": 0.5}
-    lines += ["", "# [[window]]", f"# {inspect.getdoc(CommWindow)}", *_block(window, {}, window)]
+    lines += ["", "# [[window]]", "# Hours of communication.", *_block(window, described(CommWindow), window)]
     return "\n".join([*lines, "", "# [[keep_out]]", *_block(zone, {}, zone), ""])
 
 

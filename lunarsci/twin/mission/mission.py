@@ -58,7 +58,7 @@ class CommWindow:
 
     Attributes
     ----------
-    begin_s, end_s : from the begin of the mission, 0 <= begin < end. [s]
+    begin_s, end_s : from the start of the mission, 0 <= begin < end. [s]
     """
 
     begin_s: float
