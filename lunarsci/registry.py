@@ -87,7 +87,7 @@ FORMATS: dict[str, FormatOfSpectra] = {
     "fits": FormatOfSpectra("FITS table", "astropy_tables:read_fits", "astropy_tables:is_fits"),
     "excel": FormatOfSpectra("Excel", "text:read_excel", "text:is_excel"),
     "envi": FormatOfSpectra("ENVI library (.sli, .hdr)", "envi:read_envi", "envi:is_envi", spectra_alone=True),
-    "pds": FormatOfSpectra("PDS", "pds:read_pds", "pds:is_pds"),
+    "pds": FormatOfSpectra("PDS", "pds:read_pds", "pds:is_pds_label"),
     "ecsv": FormatOfSpectra("ECSV", "astropy_tables:read_ecsv", "astropy_tables:is_ecsv"),
     "jcamp": FormatOfSpectra("JCAMP-DX", "libraries:read_jcamp", "libraries:is_jcamp", spectra_alone=True),
     "json": FormatOfSpectra("JSON", "libraries:read_json", "libraries:is_json"),

@@ -39,7 +39,7 @@ POOLED_DRAWS, LEAST_POOLED = 200_000, 8
 PERCENTILES = (2.5, 97.5)
 """Ends of an interval of 95 %."""
 MIN_SOLVED = 0.5
-"""Share of the draws with a solution below which no value is given: the others may hold its median."""
+"""Share of the draws with a solution below which no value is given: the others may hold its median; assumed."""
 UNITS = {**dict.fromkeys(("sigma_m_pa", "tau_xm_pa", "tau_ym_pa"), "Pa"), "exponent": "-", **SOIL_UNITS}
 """Unit of every estimated quantity."""
 RANGES = {

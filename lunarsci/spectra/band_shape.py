@@ -53,7 +53,7 @@ continua (`lunarsci.spectra.continuum`).
 * `RATIO`, `CURVE`, `PER_LEVEL`, of each continuum and, as the fourth, of the chosen one: reflectance and smoothed
   reflectance over the level, and 1 over the level (or 1 where it is not above 0).
 """
-MOMENTS, RIGHT, COEFFICIENTS, SOLVED, FACTOR = 0, 2 * SIZE, 3 * SIZE, 4 * SIZE, 5 * SIZE
+RIGHT, COEFFICIENTS, FACTOR = 0, SIZE, 2 * SIZE
 (
     DETERMINED, LOWEST, SECOND, HAS_MINIMUM, RIVALLED, DEPTH_HERE, PLACE, FIRST, LAST, MIDDLE_NM, HALF_NM, INNER
 ) = range(FACTOR + SIZE * SIZE, FACTOR + SIZE * SIZE + 12)  # fmt: skip
@@ -62,7 +62,7 @@ OF_SHAPE = OF_TERM + TERMS
 """Rows of the second table, `BandWork.scalars`.
 
 * `RIGHT`, `COEFFICIENTS`, `FACTOR`: right side, coefficients and factor of the normal equations; `DETERMINED`, above 0
-  where they determine a polynomial. Rows of `MOMENTS` and `SOLVED` are not in use.
+  where they determine a polynomial.
 * `LOWEST`, `SECOND`: x of its lowest and second lowest minimum; `HAS_MINIMUM`, `RIVALLED`: above 0 where there is one.
 * `DEPTH_HERE`, `PLACE`: greatest depth in a window, and at which channel; `FIRST`, `LAST`: its first and last channel;
   `MIDDLE_NM`, `HALF_NM`: its middle and half its width. [nm]

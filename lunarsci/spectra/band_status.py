@@ -63,8 +63,8 @@ MIN_SIGNIFICANCE = 4.5
 """Depth over its standard error below which there is no band. Measured: the deepest of many channels of pure noise
 exceeds 3 in a quarter and 4.5 in 0.4 % of the windows of 400 simulated flat spectra."""
 END_CHANNELS, RUNAWAY_SHARE = 8, 0.5
-"""An extrapolated continuum that is this share of the band's depth above the last channels is not used. Measured:
-on 172 laboratory and 88 rover spectra it parts the centres that agree with the hull's from those that do not."""
+"""An extrapolated continuum that is this share of the band's depth above the last channels is not used; assumed: on
+172 laboratory and 88 rover spectra it parts the centres that agree with the hull's from those that do not."""
 MAX_CENTER_SIGMA_NM = 100.0
 """A centre known no better than this says nothing about a mineral; it is not reported. Assumed."""
 DEPENDS_NM, DEPENDS_SIGMA = 20.0, 3.0
@@ -454,9 +454,9 @@ NARROW_WINDOW_NM, NARROW_REACH_NM, NARROW_DEGREE, NARROW_CHANNELS = 220.0, 70.0,
 follows the floor of a band 500 nm wide to 2 % of its depth. [nm]"""
 NARROW_WIDEST_NM = 135.0
 """Wider ones are not called narrow: what a cubic leaves of a wide band looks like a Gaussian of 170 nm and more,
-as measured on spectra of pyroxenes (RELAB). [nm]"""
+on spectra of pyroxenes (RELAB); assumed. [nm]"""
 EXPLAINED = 0.5
-"""Least share of what the cubic leaves, sum of squares, that the Gaussian takes away. Measured: it takes 0.3 at
+"""Least share of what the cubic leaves, sum of squares, that the Gaussian takes away; assumed: it takes 0.3 at
 most in 57 Chang'E-4 spectra with a 2 um band, whose scatter makes sharp dips."""
 SIGNIFICANT = 6.0
 """Least strength of the Gaussian over its standard error, which decides where channels are few; assumed, as the most of

@@ -4,6 +4,7 @@ The radiance factor RADF = pi I / E0 is cos i times the reflectance factor, and 
 matters only as a ratio between two geometries; the three here are scaled differently.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -88,7 +89,7 @@ _SHORTEST_NM = 100.0
 """Below it a wavelength is one in um: reflectance spectra are of 0.1 to 5 um."""
 
 
-class PhaseFunction:
+class PhaseFunction(ABC):
     """f(g) relative to the standard geometry, at the wavelengths asked for."""
 
     name: str
@@ -96,17 +97,17 @@ class PhaseFunction:
     source: str
     """What to cite, or the file it came from."""
 
+    @abstractmethod
     def log_ratio(self, phase_deg: float, wavelength_nm: FloatArray) -> FloatArray:
         """ln f(g) / f(30 deg), shape of `wavelength_nm`. [-]"""
-        raise NotImplementedError
 
     def edge_shift(self, phase_deg: float, wavelength_nm: FloatArray) -> FloatArray:
         """What ln R would gain where the curve went on beyond its last wavelengths instead of being held there. [-]"""
         return np.zeros(np.shape(wavelength_nm))
 
+    @abstractmethod
     def remark(self, phase_deg: float, wavelength_nm: FloatArray) -> str:
         """What to know when it is used beyond where it was established; '' within."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,8 @@ WIDEST_GAP_NM = 100.0
 """Channels farther apart than this may hide the bottom of a band of olivine or pyroxene, whose narrowest is
 176 nm wide at half depth (OL M2 of `mgm_bands.csv`); assumed. [nm]"""
 NARROW_NM = 60.0
-"""Between channels no farther apart than a third of that ln R is taken as straight; assumed. [nm]"""
+"""Between channels no farther apart than this, a third of the width of OL M2, ln R is taken as straight; assumed.
+[nm]"""
 
 
 def channel_arrays(id: str, wavelength_nm: npt.ArrayLike, *values: npt.ArrayLike) -> list[FloatArray]:

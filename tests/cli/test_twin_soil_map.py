@@ -46,8 +46,14 @@ def test_options_of_a_map_are_checked_before_anything_is_driven(run, short_plan:
     assert done.code == 2 and "--soil is of one soil everywhere" in " ".join(done.err)
     done = run(*update, "--correlation", 3)
     assert done.code == 2 and "--correlation is of a soil map" in " ".join(done.err)
-    done = run(*update, "--soil", short_plan)
-    assert done.code == 1 and "no belief; give one of" in done.err[0]
+    (tmp_path / "soil.toml").write_text(run("template", "soil").out)
+    for more in ((), ("--save-map", tmp_path / "m.json")):
+        for soil in (short_plan, "longji", tmp_path / "soil.toml"):
+            done = run(*update, "--soil", soil, *more)
+            assert done.code == 1 and "no belief; give one of" in done.err[0]
+        done = run(*update, "--soil", "nosuchmap", *more)
+        assert done.code == 1 and "nosuchmap: no such file" in done.err[0]
+    assert not (tmp_path / "m.json").exists()
     done = run("twin", "update", text, "--plan", short_plan, "--save-map", tmp_path / "m.txt")
     assert done.code == 2
     done = run("twin", "predict", short_plan, "--soil", short_plan)

@@ -70,7 +70,7 @@ LEVELS = (0.15865, 0.84135, 0.025, 0.975)
 PARTICLES = 1000
 """Points of a population, at most."""
 AT_A_STEP, AT_THE_LAST = Moves(3, 20, 0.8), Moves(3, 60, 0.2)
-"""When points have moved enough; what correlation is left is reported with the answer."""
+"""When points have moved enough; what correlation is left is reported with the answer; assumed."""
 SMALLEST = 1e-6
 """Width of a walk where the population has none, in widths of the prior."""
 

@@ -17,7 +17,6 @@ from lunarsci.arrays import SIGNIFICANCE, BoolArray, FloatArray, IntArray
 from lunarsci.errors import ParameterError
 from lunarsci.io.tables import table_rows
 from lunarsci.spectra.noise import scatter_noise_rows
-from lunarsci.spectra.readers.library import HIGHEST
 from lunarsci.spectra.spectrum import Spectrum
 
 Kind = Literal["powder-mixture", "dark-rock-powder", "weathered-soil", "solid-rock"]
@@ -50,6 +49,8 @@ WEATHERED = 0.5
 """Probability of a surface that space has weathered, soil or rock, from which it counts as one: the more probable."""
 SCALED = 1e-6
 """How near 1 a reflectance is that was scaled to it: files write six digits."""
+BRIGHTEST = 1.1
+"""A reflectance above it is none of a powder: it was scaled; assumed, as when `kinds.csv` was made."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,7 +186,7 @@ def features_of_rows(
 
 
 def _are_scaled(reflectance: FloatArray) -> BoolArray:
-    return np.asarray((reflectance.max(axis=1) > HIGHEST) | np.any(np.abs(reflectance - 1.0) < SCALED, axis=1))
+    return np.asarray((reflectance.max(axis=1) > BRIGHTEST) | np.any(np.abs(reflectance - 1.0) < SCALED, axis=1))
 
 
 def find_kinds(

@@ -105,6 +105,8 @@ class HapkeSurface:
 
 
 LEAST, MOST = 1e-5, 1.0 - 1e-5
+BRIGHTEST = 0.999
+"""Reflectance from which on a powder counts as this bright: absorbance must stay above 0. Assumed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +151,7 @@ class Absorbance:
     section: float = 0.0
 
     def element(self, reflectance: FloatArray) -> FloatArray:
-        return np.asarray(np.log(-np.log(np.clip(reflectance, LEAST, MOST))))
+        return np.asarray(np.log(-np.log(np.clip(reflectance, LEAST, BRIGHTEST))))
 
     def mixing(self, element: FloatArray) -> tuple[FloatArray, FloatArray]:
         absorbance = np.exp(element)

@@ -5,6 +5,7 @@ import json
 import os
 import shutil
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -294,7 +295,7 @@ LONG_HOURS = 1 / 60
 """What takes longer is said before it begins."""
 
 
-class Product:
+class Product(ABC):
     """Some layers that are measured together; it goes to other processes, so it is small."""
 
     name: ClassVar[str]
@@ -319,12 +320,12 @@ class Product:
         """What to cite."""
         return ()
 
+    @abstractmethod
     def measure(self, wavelength_nm: FloatArray, reflectance: FloatArray, places: IntArray) -> Mapping[str, Any]:
         """Each layer, (n,), of spectra (n, c) with NaN in channels that cannot be used.
 
         `places` are the line and the sample of each in the map, (n, 2).
         """
-        raise NotImplementedError
 
 
 def fetched(cube: Cube, region: Region, rows: range) -> dict[str, Any]:

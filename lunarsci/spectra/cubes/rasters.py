@@ -635,9 +635,10 @@ def plane_of(path: str) -> tuple[Source, tuple[int, int]]:
             source, shape = RasterFile(path, "GTiff"), (dataset.height, dataset.width, dataset.count)
     elif start.startswith((HDF, b"CDF")):
         planes = {str(name): item for name, item in netcdf(path).data_vars.items() if item.ndim == 2}
-        name, image = next(iter(planes.items()), ("", None))
-        if image is not None and len(planes) == 1:
-            source, shape = NetcdfVariable(path, name, tuple(map(str, image.dims))), image.shape
+        if len(planes) != 1:
+            raise DataError(f"{path}: has {len(planes)} images ({', '.join([*planes][:5])}); give a file with one")
+        [(name, image)] = planes.items()
+        source, shape = NetcdfVariable(path, name, tuple(map(str, image.dims))), image.shape
     elif has_header(path):
         source = flat = envi_plane(path)
         shape = (flat.lines, flat.samples, flat.channels)

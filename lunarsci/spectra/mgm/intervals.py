@@ -363,7 +363,7 @@ NARROW = 1e-3
 MOST_STEPS = 30
 """Values tried for one end of an interval."""
 LOWER_BY = 0.1
-"""By how much an objective below the fit's says that the fit is not the minimum: by 5 % of its density."""
+"""By how much an objective below the fit's says that the fit is not the minimum: by 5 % of its density; assumed."""
 MISFIT = 1.5
 """Reduced chi-square above which intervals are too narrow; assumed."""
 

@@ -210,7 +210,8 @@ NEARLY, FINALLY = 1e-2, 3e-4
 SLACK = 5.0
 """How much more than its step promises a descent may still gain, in chi-square."""
 WORTH = 0.01
-"""By how much another minimum must be lower to be taken, in chi-square: that of a tenth of a standard error."""
+"""By how much another minimum must be lower to be taken, in chi-square: that of a tenth of a standard error;
+assumed."""
 ORIGINS = ("single_descent", "from_neighbour", "contest", "not_fitted")
 SINGLE, NEIGHBOUR, CONTEST, NOWHERE = range(4)
 """Where a pixel's minimum came from: one descent, a neighbour's solution, a contest from all starts, no fit."""

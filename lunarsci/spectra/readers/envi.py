@@ -120,6 +120,8 @@ def data_names(header: str, suffixes: Sequence[str]) -> list[str]:
 def partner(name: str, candidates: Sequence[str], what: str) -> str:
     """The first candidate that is a file. Raises DataError where none is."""
     result = next((candidate for candidate in candidates if Path(candidate).is_file()), None)
+    if result is None and name == "<stdin>":
+        raise DataError(f"{name}: is one of two files, data and header (.hdr); give the name of one of them")
     if result is None:
         looked = " or ".join(dict.fromkeys(Path(candidate).name.lower() for candidate in candidates))
         raise DataError(f"{name}: its {what} is missing; put {looked} beside it")

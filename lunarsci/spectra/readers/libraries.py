@@ -156,6 +156,7 @@ def _wavelengths(source: InputFile, record: _Record) -> tuple[InputFile, _Record
     if len({pair[1].values.tobytes() for pair in result}) != 1:
         names = " and ".join(Path(file.name).name for file, _ in result[:2])
         what = f"{names} would both fit as its wavelengths; keep the right one" if result else (
+            "has no wavelengths and no folder to look for them; give the file's name" if source.name == "<stdin>" else
             f"holds reflectance only; put {wanted} beside it or in the folder above")  # fmt: skip
         raise DataError(f"{source.name}: {what}")
     return result[0]
@@ -239,22 +240,29 @@ def _blocks(text: str) -> Iterator[dict[str, str]]:
 
 def _spectrum(block: dict[str, str], file: str, before: int) -> list[Column]:
     """Wavelengths and ordinates of a block."""
-    factor = [float(block.get(key, 1.0)) for key in ("XFACTOR", "YFACTOR")]
+    factor = [_real(block, key, file, 1.0) for key in ("XFACTOR", "YFACTOR")]
     title = f"spectrum of {quoted(block.get('TITLE', str(before + 1)))}"
     kind = next(one for one in _TABULAR if one in block)
     form, _, body = block[kind].partition("\n")
     if "++" in form:
         y = _ordinates(body, f"{file}: {title}") * factor[1]
-        x = np.linspace(float(block["FIRSTX"]), float(block["LASTX"]), y.size)
+        x = np.linspace(_real(block, "FIRSTX", file), _real(block, "LASTX", file), y.size)
     else:
         pairs = np.array([float(one) for one in re.findall(r"[+-]?[\d.]+(?:[Ee][+-]?\d+)?", body)])
         x, y = pairs[: pairs.size // 2 * 2].reshape(-1, 2).T * np.array(factor)[:, None]
-    announced = int(float(block.get("NPOINTS", y.size)))
+    announced = int(_real(block, "NPOINTS", file, y.size))
     if announced != y.size:
         raise DataError(f"{file}: {title} has {y.size} points, NPOINTS says {announced} (truncated?); fetch it again")
     unit = block.get("YUNITS", "")
     name = f"{block.get('TITLE', '')} [%]" if only_percent(unit) else f"{block.get('TITLE', '')} {unit}"
     return [Column(block.get("XUNITS", ""), x, 1), Column(name.strip(), y, 2 + before)]
+
+
+def _real(block: dict[str, str], key: str, file: str, other: float | None = None) -> float:
+    try:
+        return float(block[key]) if key in block or other is None else other
+    except (KeyError, ValueError):
+        raise DataError(f"{file}: JCAMP-DX without a number for {key}; export the spectrum again") from None
 
 
 def _ordinates(body: str, what: str) -> FloatArray:

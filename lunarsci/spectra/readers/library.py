@@ -127,8 +127,9 @@ def read_library(
 
 def _member(spectrum: Spectrum, file: str) -> EndMember:
     header = spectrum.metadata.get("header")
-    described = header.get("end_members") if isinstance(header, Mapping) else {}
-    described = described if isinstance(described, Mapping) else {}
+    described = header.get("end_members", {}) if isinstance(header, Mapping) else {}
+    if not isinstance(described, Mapping):
+        raise DataError(f"{file}: 'end_members' in the header is no mapping; write the library again")
     column = str(spectrum.metadata.get("column", ""))
     id = column if column in described else spectrum.id
     return _in_file(spectrum, id, described.get(column, {}), file)
@@ -148,8 +149,10 @@ def end_member(spectrum: Spectrum, sample: Any, *, id: str | None = None) -> End
     """
     name = id or spectrum.id
     measured = np.isfinite(spectrum.reflectance)
-    if not isinstance(sample, Mapping) or not measured.any():
-        raise DataError(f"{name}: its description is no mapping of names to values, or no reflectance; delete it")
+    if not isinstance(sample, Mapping):
+        raise DataError(f"{name}: its description is no mapping of names to values; write the library again")
+    if not measured.any():
+        raise DataError(f"{name}: has no reflectance in any channel; delete it")
     mineral = mineral_named(str(sample.get("mineral") or ""), f"{name}: ")
     notes: dict[str, Any] = {key: _number(sample.get(key), f"{name}: {key}") for key in _NUMBERS}
     notes |= {key: str(sample.get(key) or "") for key in ("source", "specimen")}

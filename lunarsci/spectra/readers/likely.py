@@ -115,7 +115,8 @@ def unlikely(rows: SpectrumRows, file: str) -> list[str]:
         sigma = None if rows.uncertainty is None else rows.uncertainty[block_rows]
         for name, odd in _odd(values, usable, sigma).items():
             result[name] += (block.start + np.flatnonzero(odd)).tolist()
-        constant = constant and bool((np.where(usable, values, np.nan).std(axis=1) == 0).all())
+        span = np.where(usable, values, -np.inf).max(axis=1) - np.where(usable, values, np.inf).min(axis=1)
+        constant = constant and bool(((usable.sum(axis=1) >= FEWEST) & (span == 0)).all())
         for row, step, place in _steps(rows.wavelength_nm, values, usable):
             where = where or f" by {step:+.1%} at {place:.0f} nm"
             result["step"].append(block.start + row)

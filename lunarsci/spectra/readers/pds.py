@@ -97,14 +97,10 @@ class _Object:
     parts: "list[_Object]" = field(default_factory=list)
 
 
-def is_pds_label(source: InputFile) -> bool:
+def is_pds_label(source: InputFile, start: str = "") -> bool:
     """Whether a file is a label of either kind, by its first lines."""
-    start = source.data[:4000]
-    return b"PDS_VERSION_ID" in start or b"Product_Observational" in start
-
-
-def is_pds(source: InputFile, start: str) -> bool:
-    return is_pds_label(source)
+    label = source.data[:4000]
+    return b"PDS_VERSION_ID" in label or b"Product_Observational" in label
 
 
 def read_pds_label(source: InputFile) -> PdsLabel:

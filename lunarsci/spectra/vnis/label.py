@@ -111,14 +111,13 @@ class DataFile:
 
     Attributes
     ----------
-    name : file name without folder. size : bytes. records : rows or bands.
+    name : file name without folder. size : bytes.
     axes : (name, elements) from slowest to fastest, for an array. data_type : of the array's elements.
     fields : names of the columns, for a table.
     """
 
     name: str
     size: int | None
-    records: int | None
     axes: tuple[tuple[str, int], ...]
     data_type: str | None
     fields: tuple[str, ...]
@@ -229,7 +228,6 @@ def _data_file(area: Element, file: str) -> DataFile:
     return DataFile(
         name=_text(area, "file/file_name", file),
         size=_count(area, "file/file_size", file),
-        records=_count(area, "file/records", file),
         axes=tuple((name, elements) for _, name, elements in axes),
         data_type=_text(area, ".//element_array/data_type", file) or None,
         fields=tuple(_text(field, "name", file) for field in area.iter("field_character")),

@@ -307,6 +307,10 @@ def read_observation(path: str) -> Observation:
     _check_pair(cube_label, table_label)
     _check_files(parts, cube_label, table_label)
     doubts = [*doubts_of(cube_label), *doubts_of(table_label)]
+    angles = [label.geometry.emission_deg for label in (cube_label, table_label)]
+    if abs(angles[0] - angles[1]) > SUN_DEG:
+        says = f"states emission {angles[1]:g} deg, the image's label {angles[0]:g}: one of them is wrong"
+        doubts.append(f"{table_label.file}: {says}")
     table_file, cube_file = _read(parts.table), _read(parts.cube)
     table = read_swir_table(table_file, table_label)
     cube = read_cube(cube_file, cube_label)

@@ -45,7 +45,7 @@ MARGIN = 1.0
 """Standard errors by which noise counts as more correlated than it was found: the p-value is that of an unkind case
 within the uncertainty, as in Berger & Boos (1994), J. Am. Stat. Assoc. 89, 1012."""
 NUDGE = 0.1
-"""Widths of the first laws by which soils are moved to either side for derivatives."""
+"""Widths of the first laws by which soils are moved to either side for derivatives; assumed."""
 WITHIN_95 = 7.35
 """Fall of the statistic from its top within which the place lies, at 95 %: Hansen (2000), Econometrica 68, 575,
 10.1111/1468-0262.00124."""

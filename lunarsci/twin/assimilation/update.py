@@ -93,7 +93,7 @@ WIDENED = 2.0
 went. So it is of 1 of 70 right beliefs and of 10 of 38 of other physics, rovers and tracks that nothing else doubts,
 measured by `tests/benchmarks/leaning.py` (docs/validation/drive.md). [-]"""
 STILL = 1.1
-"""Factor of the errors in a round that has converged."""
+"""Factor of the errors in a round that has converged; assumed."""
 LEAST_LEAN, LEAN_ERRORS, LEAN_SOILS = 0.02, 2.0, 64
 """Slip that a belief may lean by: so much, or so many standard errors where that is more; and soils that tell the
 spread. Of 70 right beliefs the farthest lean by 0.017 and by 1.7 errors, measured by `tests/benchmarks/leaning.py`

@@ -59,14 +59,15 @@ ALARM = 0.01
 5 of 100 drives, measured with 64 members; most where the belief is as wide as the priors, and drives differ most."""
 ALARM_OF_CHANGE = 0.003
 """The same for a change of the ground: how well the measured means are known is estimated from the drive itself. It is
-among the tests whose false alarms were measured together."""
+among the tests whose false alarms were measured together; assumed."""
 BORDERLINE = 0.1
 """Probability below which something of a drive lies near the edge of what was predicted: nothing speaks against the
 prediction, nor much for it. Right predictions come near in 20 to 30 of 100 drives, measured with the drives of
 `tests/twin/comparison/test_verdict.py`."""
 FAR, SELDOM = 5.0, 0.05
 """Standard deviations beyond which a mean or an end is too far off also where a single odd member is farther, which
-hides more than it says, and how seldom it must be among the members; among the tests measured together, see `ALARM`."""
+hides more than it says, and how seldom it must be among the members; among the tests measured together, see `ALARM`;
+assumed."""
 LEAST_MEMBERS = 20
 """Drives that finished, of which one is 5 %: of fewer the extremes are both ends of a region of 90 %."""
 

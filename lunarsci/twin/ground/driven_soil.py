@@ -179,7 +179,7 @@ class GivenSoil:
     @classmethod
     def of_source(cls, source: Source) -> "GivenSoil":
         """What one name or file is: priors, a soil by name or as TOML, laws of its parameters, JSON, or samples."""
-        if source == PRIORS:
+        if isinstance(source, str) and source == PRIORS:
             file = InputFile(PRIORS, first_belief().to_json().encode())
             return cls(file=file, of="belief", belief=first_belief())
         if isinstance(source, str):

@@ -27,7 +27,8 @@ from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.rover import Rover
 
 OVERHANG = 1.05
-"""The discs that cover the rectangle are at most so many half widths in radius: nearer 1 there are more of them."""
+"""The discs that cover the rectangle are at most so many half widths in radius: nearer 1 there are more of them;
+assumed."""
 ROUND = 0.6
 """Share of the circle about a polygon that it must fill to be taken for that circle; assumed."""
 FINEST = 64

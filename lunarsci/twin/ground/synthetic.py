@@ -18,13 +18,13 @@ from lunarsci.twin.ground.terrain import Terrain, build_terrain
 SCALE_M = 0.2
 """Decay length of the covered area with diameter: assumed. [m]"""
 CLEAR_M = 1.5
-"""About the start of a drive, without rocks, as this ground is made. [m]"""
+"""About the start of a drive, without rocks, as this ground is made; assumed. [m]"""
 SMALLEST_M, LARGEST_M = 0.1, 2.0
-"""Diameters that are laid, as this ground is made: smaller ones are roughness. [m]"""
+"""Diameters that are laid, as this ground is made: smaller ones are roughness; assumed. [m]"""
 HEIGHT_TO_DIAMETER = 0.5
 """A rock is half an ellipsoid of this height to diameter: assumed."""
 LARGEST_SHARE = 0.1
-"""Of the ground that rocks may cover, some fifty times that of the site, as this ground is made."""
+"""Of the ground that rocks may cover, some fifty times that of the site, as this ground is made; assumed."""
 ROUGHNESSES_M = "[0, 0.05]"
 STAND_IN = "synthetic stand-in for the Longji site"
 """Name of the terrain that is driven where none is named."""
@@ -40,7 +40,7 @@ REGIONAL = (-0.04, 0.0064)
 STEP = (6.895, 1.5, 0.1877)
 MOST_NODES = 4_000_000
 SMALLEST_CRATER_M = 1.0
-"""Diameter of the smallest craters that are laid, as this ground is made: smaller ones are roughness. [m]"""
+"""Diameter of the smallest craters that are laid, as this ground is made: smaller ones are roughness; assumed. [m]"""
 
 
 def rocks_per_m2(share: float, diameter_m: npt.ArrayLike) -> FloatArray:

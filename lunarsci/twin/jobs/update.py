@@ -12,6 +12,7 @@ from lunarsci.io.inputs import InputFile, Source, read_input
 from lunarsci.options import refuse_where, request_of
 from lunarsci.regolith.belief import SoilBelief, contact_rows, parameter_rows, with_drive
 from lunarsci.regolith.prior import PARAMETERS, asked_in, prior_hash
+from lunarsci.regolith.soil import soil_tables
 from lunarsci.result import Doubt, MadeFrom, Result, job
 from lunarsci.twin.assimilation.residuals import DriveRecord, pace_of, read_drive_states, read_record
 from lunarsci.twin.assimilation.segments import Segment, SoilChange, drive_segments, find_change, planned_places
@@ -60,7 +61,7 @@ class Before:
             "`correlation` is of a soil map; give one as `soil`, or save one":
                 asked.correlation is not None and soil_map is None and not asked.by_place,
         })  # fmt: skip
-        if soil_map is None and asked.by_place:
+        if belief is not None and asked.by_place:
             across = abs(inputs.rover.wheel_positions_m[:, 1]).max() + 0.5 * inputs.rover.wheel.width_m
             soil_map = SoilMap(reach_m=round(float(across), 3))
         if soil_map is not None and asked.correlation is not None:
@@ -68,6 +69,8 @@ class Before:
         if soil_map is not None:
             belief = soil_map.belief_along(planned_places(inputs.plan, inputs.rover))
         if belief is None:
+            if given.named is not None and given.named == asked.soil and given.named not in soil_tables():
+                read_input(given.named)  # a path that is none is refused as such
             raise DataError(f"{given.named or given.name}: no belief; give one of `twin update`, its map, or priors")
         doubt = "" if file is None or asked.forget == 1.0 else doubt_of(file.name, belief)
         belief = belief.forgotten(asked.forget) if asked.forget else belief

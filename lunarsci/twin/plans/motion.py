@@ -32,7 +32,8 @@ GAP = 5.0
 CLOCK_S = 1.0
 """How far the clocks of motion, positions and plan may differ unsaid; assumed. [s]"""
 STANDSTILL = 0.5
-"""Share of the usual speed of the commanded rims below which it is a halt: nearer to none than to the usual one."""
+"""Share of the usual speed of the commanded rims below which it is a halt: nearer to none than to the usual one;
+assumed."""
 SIGMAS = ("x_m_sigma", "y_m_sigma", "yaw_deg_sigma")
 CORRELATION_M = 0.5
 """Distance over which errors of a smoothed motion stay alike, where nothing tells it; assumed. [m]"""

@@ -19,7 +19,7 @@ from lunarsci.twin.ground.hazards import COST_CAP, RoverFootprint, Traversabilit
 from lunarsci.twin.plans.path import arc_end
 
 LARGEST_TURN = 0.75 * np.pi
-"""No closing arc turns further than this: where the search of these ends. [rad]"""
+"""No closing arc turns further than this: where the search of these ends; assumed. [rad]"""
 MOST_ARCS = 4
 """Of a course."""
 LENGTHS = 8
@@ -28,7 +28,7 @@ HALVINGS = 5
 """and as curved as the tightest turn, half of it, ... a sixteenth, to the left and to the right, or straight."""
 LONGEST = 2.5
 """A course is at most this many distances of the target long, and two tightest turns, and costs at most as many times
-what the cheapest one does: where the search ends."""
+what the cheapest one does: where the search ends; assumed."""
 TURNING_M2 = 0.5
 """Cost of a change of curvature by 1/m: assumed. [m2]"""
 ARC_M = 0.1
@@ -36,7 +36,7 @@ ARC_M = 0.1
 BEST, NEARLY = 5, 8
 """How many courses of each number of arcs are refined, and how many that do not keep the clearance if none does."""
 SHORTEST_M, FINEST_M, COARSEST_M = 0.1, 0.1, 0.4
-"""Shortest arc of a course, and steps along it that are looked at: about a footprint's error."""
+"""Shortest arc of a course, and steps along it that are looked at: about a footprint's error; assumed."""
 SAME_PER_M = 1e-5
 """Arcs whose curvatures differ by less are one."""
 PENALTY = 1e3

@@ -28,9 +28,10 @@ LOOKED_AT = 3000
 WIDEST_CRAB_DEG, DRAGGED_DEG = 60.0, 5.0
 """A rover is not driven more sidewards than this where all its wheels steer, and where some are dragged; assumed."""
 LEAST_TURN_DEG = 15.0
-"""Manners that begin with a spot turn are tried from this turn on: arcs reach targets less far to the side as well."""
+"""Manners that begin with a spot turn are tried from this turn on: arcs reach targets less far to the side as well;
+assumed."""
 FIX_EVERY_M = (5.0, 2.5)
-"""Ways between localisation updates that are tried, where there are any. [m]"""
+"""Ways between localisation updates that are tried, where there are any; assumed. [m]"""
 MOST = 50
 
 

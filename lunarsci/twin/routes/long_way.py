@@ -30,7 +30,7 @@ from lunarsci.twin.rover import Rover
 LONG_M = 30.0
 """Targets farther than this are reached place by place; assumed. [m]"""
 STRETCH_M, SHORTEST_M = 20.0, 8.0
-"""Steps of the way: places lie at most so far apart, and no nearer than this where the way allows it. [m]"""
+"""Steps of the way: places lie at most so far apart, and no nearer than this where the way allows it; assumed. [m]"""
 AS_CHEAP = 1.02
 """A straight line may cost so many times the way over the nodes that it replaces; assumed."""
 MOST_NODES = 2_000_000

@@ -37,9 +37,10 @@ if TYPE_CHECKING:
 
 
 ARRIVAL_M = 0.01
-"""A path ends at least this near to its target, as the search reckons it. [m]"""
+"""A path ends at least this near to its target, as the search reckons it; assumed. [m]"""
 MARGIN_SHARE, MARGIN_M, FAR_MARGIN_M = 0.5, 3.0, 50.0
-"""The search looks this share of the distance, and so far, beyond start and target; farther on long ways. [-, m, m]"""
+"""The search looks this share of the distance, and so far, beyond start and target; farther on long ways; assumed. [-,
+m, m]"""
 PATH_STEP_M = 0.02
 
 

@@ -59,7 +59,7 @@ CENTER, SINKAGE, VELOCITY, NORMAL, DRAWBAR, SIDE, RESISTANCE, RUT = (
 MOST_STEPS = 1e7
 """Minutes of computing for a single member."""
 SLOW = 0.4
-"""Share of the full speed below which a step is one of a start or a stop, and made in `SLOW_PARTS`."""
+"""Share of the full speed below which a step is one of a start or a stop, and made in `SLOW_PARTS`; assumed."""
 OUTLINE = 2000
 """Places along a plan about which ruts are kept."""
 STRAY_M = 1.5

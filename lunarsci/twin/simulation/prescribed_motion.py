@@ -64,10 +64,10 @@ TOTALS = ("ahead", "left", "moment")
 """Of the forces of all wheels, in the order of all arrays here. [N, N, N m]"""
 SOIL_STILL, FORCES_STILL = 0.1, 0.01
 """Largest move of the soil's mean, in what remains of its standard deviations, and of pulls and lateral forces as a
-share of themselves, in a round that has converged."""
+share of themselves, in a round that has converged; assumed."""
 OPPOSITE, NOT_SMALLER = -0.5, 0.8
 """Cosine between two moves of the soil below which the second goes back, and the share of the first that it has at
-least where the rounds do not calm down: after such moves more rounds end no nearer."""
+least where the rounds do not calm down: after such moves more rounds end no nearer; assumed."""
 MOST_ROUNDS, WORST_REDUCED = 50, 1.5
 """Rounds, and reduced chi-square of the states beyond which no soil explains them; assumed."""
 ALIKE = math.sqrt(2.0 * math.pi)

@@ -85,7 +85,7 @@ SLOWER = 1.0
 """Standard deviation, in ln, of the fastest rim over the rover's highest speed where it is slower; assumed. Where it is
 faster, and of one column over another, it is `OBEYED`."""
 FEWEST_ROWS = 3
-"""Rows with both columns below which one tells nothing of the other, and positions that are compared."""
+"""Rows with both columns below which one tells nothing of the other, and positions that are compared; assumed."""
 STEERING = ("steered_deg", "steering_deg")
 COMMANDED = ("speed_m_s", "steering_deg")
 NAMED = dict.fromkeys(("angle_deg", *STEERING), "deg") | {"rate_deg_s": "deg_s", "speed_m_s": "m_s", "time_s": "s"}

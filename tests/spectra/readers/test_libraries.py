@@ -151,7 +151,7 @@ def test_files_that_are_no_spectra(chapter: Path, text: str, message: str) -> No
 
 
 def test_standard_input_has_no_folder() -> None:
-    with pytest.raises(DataError, match="holds reflectance only"):
+    with pytest.raises(DataError, match="give the file's name"):
         read_spectra(InputFile("<stdin>", (SPECTRUM + ".1\n.2\n").encode()))
 
 

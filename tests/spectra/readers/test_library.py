@@ -125,11 +125,13 @@ def test_a_wrong_description_is_one_line_with_file_and_id(old: str, new: str, me
 
 def test_descriptions_that_are_no_mapping_are_refused() -> None:
     table = Table({"wavelength_nm": [500.0, 600.0], "a": [0.1, 0.2]})
-    table.meta.update({"end_members": {"a": "olivine"}})
-    buffer = io.StringIO()
-    table.write(buffer, format="ascii.ecsv")
-    with pytest.raises(DataError, match=r"^lib.ecsv: .*is no mapping"):
-        read_library(InputFile("lib.ecsv", buffer.getvalue().encode()))
+    for meta in ({"end_members": ["a"]}, {"end_members": {"a": "olivine"}}):
+        table.meta.clear()
+        table.meta.update(meta)
+        buffer = io.StringIO()
+        table.write(buffer, format="ascii.ecsv")
+        with pytest.raises(DataError, match=r"^lib.ecsv: .*is no mapping"):
+            read_library(InputFile("lib.ecsv", buffer.getvalue().encode()))
 
 
 @pytest.mark.filterwarnings("ignore::lunarsci.errors.LunarSciWarning")

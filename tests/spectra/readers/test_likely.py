@@ -81,9 +81,13 @@ def test_a_step_where_detectors_meet_is_told_with_its_place(step: float, noise: 
         assert "with a step between two channels" in text and "at 1002 nm" in text and f"by {told}" in text
 
 
-def test_a_constant_spectrum_is_refused() -> None:
+@pytest.mark.parametrize("missing", [0, 1])
+@pytest.mark.parametrize("value", [0.1, 0.3, 0.7])
+def test_a_constant_spectrum_is_refused(value: float, missing: int) -> None:
+    values = np.full(NM.size, value)
+    values[:missing] = np.nan
     with pytest.raises(DataError, match=r"rock\.csv: the same value in all channels"):
-        read_batch([table(np.full(NM.size, 0.1), 0.01 * SOUND)])
+        read_batch([table(values, 0.01 * SOUND)])
 
 
 def test_of_measured_spectra_one_ratio_is_told(reference_data: Path) -> None:

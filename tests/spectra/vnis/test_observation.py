@@ -3,6 +3,7 @@
 import hashlib
 import math
 import random
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -269,3 +270,15 @@ def test_a_gain_unlike_the_others() -> None:
     assert usual_gains([0.98, 0.99, 0.97, 0.98, 0.88]) == [None, None, None, None, 0.98]
     assert usual_gains([0.98, 0.99, 0.97, 0.88]) == [None] * 4  # too few
     assert usual_gains([0.90, 0.95, 1.0, 1.05, 1.10]) == [None] * 5  # all differ
+
+
+def test_an_emission_that_differs_from_that_of_the_image_is_doubted(products: Files, write: Write) -> None:
+    """By 2.5 deg reflectances err by some 2 %; the phase angle alone would still fit."""
+    changed = dict(products)
+    label = next(name for name in products if "SD_SCI" in name and name.endswith("L"))
+    pattern = rb"(<center_point>.*?<incidence_angle[^>]*>)([^<]*)"
+    emission_deg = float(re.search(pattern, products[label], re.DOTALL)[2])  # type: ignore[index]
+    assert read_observation(str(write(products) / label)).doubts == ()
+    changed[label] = re.sub(pattern, rb"\g<1>%.3f" % (emission_deg + 2.5), products[label], flags=re.DOTALL)
+    [doubt] = read_observation(str(write(changed) / label)).doubts
+    assert f"states emission {emission_deg + 2.5:g} deg, the image's label {emission_deg:g}" in doubt
