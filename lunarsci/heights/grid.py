@@ -96,7 +96,7 @@ def spacing_of(x: FloatArray, y: FloatArray) -> float:
         f"cells must be square: steps are {steps[0]:g} m in x_m and {steps[1]:g} m in y_m; interpolate the heights "
         f"to nodes {max(steps):g} m apart in both": abs(steps[1] - steps[0]) > EVEN * steps[0],
     }  # fmt: skip
-    refuse(fault for fault, applies in faults.items() if applies)
+    refuse(faults)
     return steps[0]
 
 

@@ -238,7 +238,10 @@ def geotiff_bytes(
 def _load(path: Path, keys: set[str], unread: tuple[str, ...]) -> dict[str, Any]:
     """The arrays of an archive, none of which is unpacked before its name and its size are known to be sound."""
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        archive = np.load(path, allow_pickle=False)
+        if not isinstance(archive, np.lib.npyio.NpzFile):
+            raise DataError("a single array, not a NumPy archive; write it with numpy.savez")
+        with archive:
             named = {key: AXES.get(plain_name(key), key) for key in archive.files}
             if {*NODE} & {*archive.files} or len({*named.values()}) < len(named):
                 named = {key: key for key in archive.files}

@@ -51,7 +51,7 @@ class MapProjection:
             "its coordinates are degrees of longitude and latitude": system.is_geographic,
             f"its projection counts in {unit}; project it to m": metres != 1.0,
         }
-        refuse(reason for reason, applies in reasons.items() if applies)
+        refuse(reasons)
         object.__setattr__(self, "_system", system)
         object.__setattr__(self, "_degrees", CRS.from_user_input(degrees_of(self.wkt)))
 

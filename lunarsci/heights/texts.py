@@ -27,6 +27,8 @@ HEADER = ("ncols", "nrows", "cellsize", "dx", "dy", "nodata_value", "xllcorner",
 """Keys of the header of an ESRI ASCII grid, in lower case."""
 TEXTS = (".asc", ".csv", ".xyz", ".txt", ".dat", ".grd", ".agr")
 """Ends of names of text."""
+SPARSE = 4.0
+"""Nodes of a grid for each row of a table without names, that may be holes; assumed."""
 NODE = ("x_m", "y_m", "height_m")
 """Columns of a table of nodes."""
 AXES = {
@@ -136,7 +138,7 @@ def _checked_header(stated: Sequence[tuple[str, float]]) -> dict[str, float]:
         f"a cellsize of {', '.join(f'{value:g}' for value in wrong)}; give the side of a cell in m": wrong,
         f"{' and '.join(sorted(corner))}; name the corner of the first cell, or its centre": mixed,
     }  # fmt: skip
-    refuse((fault for fault, applies in faults.items() if applies), "", DataError)
+    refuse(faults, "", DataError)
     check_count(counts[0] * counts[1])
     return header | sides
 
@@ -213,7 +215,7 @@ def in_degrees(path: Path, nodes: dict[str, FloatArray], unit: str, note: str, b
         f"{'longitudes' if uneven[0] else 'latitudes'} are not in even steps; interpolate the heights to even ones":
             any(uneven),
     }  # fmt: skip
-    refuse((fault for fault, applies in faults.items() if applies), "", DataError)
+    refuse(faults, "", DataError)
     check_count(across.size * up.size)
     heights = np.full((up.size, across.size), np.nan)
     heights[np.rint((up[-1] - lat) / sides[1]).astype(int), np.rint((lon - across[0]) / sides[0]).astype(int)] = height
@@ -302,7 +304,7 @@ def _is_grid(values: FloatArray) -> bool:
     """Whether the first two of three columns (3, n) without names are places of nodes, two in each row and column."""
     rows = values.shape[1]
     across, up = (len(np.unique(axis)) for axis in values[:2])
-    return min(across, up) >= 2 and 2 * max(across, up) <= rows <= across * up
+    return min(across, up) >= 2 and 2 * max(across, up) <= rows <= across * up <= SPARSE * rows
 
 
 def _is_number(cell: str) -> bool:

@@ -406,7 +406,7 @@ class StereoRig:
             f"a covariance of shape {given.shape}; give {size} x {size} finite numbers, symmetric, without a negative "
             "variance": not good,
         }
-        refuse((reason for reason, applies in reasons.items() if applies), self.name)
+        refuse(reasons, self.name)
 
     @property
     def height_m(self) -> float:

@@ -286,9 +286,9 @@ def merge(
     reasons = {
         f"{len(models)} models and {len(places)} positions; give two or more, and one for each":
             len(models) < 2 or len(places) != len(models),
-        f"{', '.join(without)}: no height_m_sigma; inverse variances need the errors of the heights": without,
+        f"{', '.join(without)}: no height_m_sigma; inverse variances need the errors of the heights": bool(without),
     }  # fmt: skip
-    refuse(reason for reason, applies in reasons.items() if applies)
+    refuse(reasons)
     steps = progress or (lambda *_: None)
     step = spacing_m or min(model.spacing_m for model in models)
     x, y = (_axis(models, places, name, step) for name in ("x_m", "y_m"))

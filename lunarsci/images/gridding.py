@@ -18,7 +18,8 @@ from lunarsci.images.matching import HALF_PX, StereoMatches
 COMMON_NODES = 4
 """Distance of the nodes at which the rig's errors are computed; they change slowly between these."""
 OUTLYING = NormalDist().inv_cdf(1 - SIGNIFICANCE / 2)
-"""Heights that lie farther from their cell's median, in standard deviations beside its slope, are left out."""
+"""Heights that lie farther from their cell's median, in standard deviations beside its slope, are left out:
+`SIGNIFICANCE` of sound ones are; assumed."""
 STEEPEST = 1.5
 """Slope that a cell may have; assumed. [-]"""
 GRAZING_DEG = 3.0

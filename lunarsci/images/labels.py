@@ -4,6 +4,7 @@ Both say where a camera looked, in their own words. Here a `Camera` (Brown's) an
 how much the fit misses is part of the answer.
 """
 
+import math
 import re
 from dataclasses import dataclass, replace
 from xml.etree.ElementTree import Element
@@ -13,8 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.images.camera import INTRINSICS, Camera, Pose, StereoRig, covariance_of, is_swapped, rotation_of
-from lunarsci.images.pictures import MOST_PIXELS
+from lunarsci.images.camera import INTRINSICS, Camera, Pose, StereoRig, covariance_of, rotation_of
 from lunarsci.io.documents import xml_root
 from lunarsci.io.inputs import InputFile, text
 from lunarsci.ranges import refuse
@@ -27,6 +27,10 @@ RANGES = (2.0, 5.0, 20.0)
 """Ranges of those points, since the pupil of CAHVORE moves. [m]"""
 MOST_TRIES = 100
 """Of a fit; sound models need some ten."""
+MOST_PX = 100_000
+"""Lines or samples of a picture: a hundred times those of cameras on rovers; assumed."""
+RIGHT_ANGLE_DEG = 15.0
+"""How far the line between two centres may lie from the left camera's rows before its frame is doubted; assumed."""
 COARSE_PX = 1.0
 """A fit that misses by more than a pixel says so, as does a calibration; assumed."""
 Z_DOWN = re.compile(r'COORD\w*SYSTEM_NAME\s*=\s*"?(?:ROVER|SITE|LOCAL_LEVEL|LANDER)\w*')
@@ -215,7 +219,7 @@ def _cahv_of(name: str, content: str) -> CahvModel:
         f"a CAHVOR model needs O and R, not {''.join(halves)} alone": len(halves) == 1,
         "the size of the picture is missing; add LINES = … and LINE_SAMPLES = …": width is None or height is None,
     }  # fmt: skip
-    refuse((reason for reason, applies in reasons.items() if applies), name, DataError)
+    refuse(reasons, name, DataError)
     kind = _first_number(content, ("MODEL_TYPE_PARAMETER", "MPARM", "T"))
     vectors["O"] = vectors["O"] / np.linalg.norm(vectors["O"]) if "O" in vectors else vectors["A"]
     vectors.setdefault("R", np.zeros(3))
@@ -255,8 +259,8 @@ def orthonormal(matrix: FloatArray) -> FloatArray:
 def count_of(name: str, cell: str | float | None, what: str) -> int:
     """A number of pixels. Raises DataError for text, parts of one, and what no picture has."""
     count = finite(name, what, str(cell))
-    if not (1 <= count <= MOST_PIXELS and count.is_integer()):
-        raise DataError(f"{name}: its {what} are {cell}; a picture has 1 to {MOST_PIXELS}")
+    if not (1 <= count <= MOST_PX and count.is_integer()):
+        raise DataError(f"{name}: its {what} are {cell}; a picture has 1 to {MOST_PX}")
     return int(count)
 
 
@@ -290,15 +294,16 @@ def rig_of_labels(left: InputFile, right: InputFile) -> StereoRig:
     first, second = read_label(left), read_label(right)
     rotation = second.pose.rotation.T @ first.pose.rotation
     translation = second.pose.to_camera(first.pose.center_m)
+    apart, near = float(np.linalg.norm(translation)), math.cos(math.radians(RIGHT_ANGLE_DEG))
     reasons = {
-        "both labels name one place; give the left and the right picture's": not translation.any(),
-        "left and right are swapped; give the left one first": is_swapped(translation),
+        "both labels name one place; give the left and the right picture's": apart == 0,
+        "left and right are swapped; give the left one first": float(translation[0]) > near * apart,
     }
-    refuse((reason for reason, applies in reasons.items() if applies), f"{left.name}, {right.name}", DataError)
+    refuse(reasons, f"{left.name}, {right.name}", DataError)
     remarks = [*first.remarks, *(remark for remark in second.remarks if remark not in first.remarks)]
-    if not is_swapped(-translation):
+    if -translation[0] < near * apart:
         remarks.append("centres are stated in another frame than directions: the baseline is laid along the rows")
-        translation = -np.linalg.norm(translation) * np.array([1.0, 0.0, 0.0])
+        translation = -apart * np.array([1.0, 0.0, 0.0])
     sigmas = {f"{side}_{name}": fit.residual_rms_px for side, fit in (("left", first), ("right", second))
               for name in INTRINSICS[:4]}  # fmt: skip
     turned = max(first.residual_rms_px / first.camera.fx_px, second.residual_rms_px / second.camera.fx_px)
@@ -328,7 +333,7 @@ def _from_pds4(name: str, content: str) -> LabelCamera:
         f"pixel_size {pitch:g}, focal_length {length:g}; both are above 0": not min(pitch, length) > 0,
         f"its label states {len(stated)} directions of corners; three or more are needed": len(stated) < 3,
     }
-    refuse((reason for reason, applies in reasons.items() if applies), name, DataError)
+    refuse(reasons, name, DataError)
     focal = length / (pitch := pitch * 1e-3)
     across, down = (_principal(name, root, axis) / pitch for axis in "xy")
     fits = [_fit_corners(name, (width, height), focal, (across, sign * down), stated) for sign in (1.0, -1.0)]

@@ -698,7 +698,7 @@ def _tied(
     motion, count = _by_features(stations, poses, near, far, seen, rig, covariance)
     report = report._replace(features=count, inliers=int(motion.inliers.sum()))
     if report.inliers < FEWEST:
-        return report._replace(failure=_matter(report)), None
+        return report._replace(failure=_matter(report, seen)), None
     now = _moved(poses, near, far, motion, b)
     for reach in REACHES_PX:
         seen = transfer(stations[near], now[near], stations[far], now[far])
@@ -708,7 +708,7 @@ def _tied(
                 break
         report = report._replace(ties=len(ties.correlation))
         if report.ties < FEWEST:
-            return report._replace(failure=_matter(report)), None
+            return report._replace(failure=_matter(report, seen)), None
         report = report._replace(correlation=float(np.median(ties.correlation)))
         fitted = adjust(
             [poses[a], now[b]], [np.eye(6), covariance], rig, [PairTies(int(near != a), int(far != a), ties)]
@@ -782,9 +782,11 @@ def _moved(poses: Sequence[Pose], near: int, far: int, motion: RigidMotion, seco
     return now
 
 
-def _matter(report: PairReport) -> str:
+def _matter(report: PairReport, seen: Transferred) -> str:
     """Why two stations could not be tied."""
-    counts = f"{report.features} features in common, {report.inliers} of one motion"
+    light = seen.light[seen.seen]
+    contrast = float(light.std() / max(float(light.mean()), 1e-9))
+    seems = "; the ground shows too little texture" if contrast < 0.05 else "; has the Sun moved far?"
     if report.ties:
-        counts = f"only {report.ties} templates agree by {LOOSE_CORRELATION:g} or more"
-    return f"{counts}; has the Sun moved far, or the ground too little texture?"
+        return f"only {report.ties} templates agree by {LOOSE_CORRELATION:g} or more{seems}"
+    return f"{report.features} features in common, {report.inliers} of one motion{seems}"

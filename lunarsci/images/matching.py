@@ -16,7 +16,7 @@ import numpy.typing as npt
 from lunarsci.arrays import FloatArray, robust_fit, robust_scatter
 from lunarsci.compiled import compiled, each_in_threads
 from lunarsci.errors import DataError
-from lunarsci.images.camera import StereoRig, is_swapped
+from lunarsci.images.camera import StereoRig
 from lunarsci.images.pictures import Picture, open_cv
 from lunarsci.ranges import refuse
 from lunarsci.result import Progress
@@ -348,7 +348,7 @@ def rectify(rig: StereoRig) -> Rectified:
     Raises DataError for a rig whose right camera is not to the right.
     """
     along = -rig.rotation.T @ rig.translation_m / rig.baseline_m
-    if not is_swapped(-rig.translation_m):
+    if along[0] < 0.5:
         raise DataError(
             f"{rig.name}: its right camera is not to the right of the left one; ask `lunarsci images cameras`"
         )
@@ -498,7 +498,7 @@ def _rows_in_line(
             f"rows are apart unevenly, by {scatter:.1f} px; did the rover move between them, is one turned, or the rig "
             "another one?": scatter > UNEVEN_PX,
         }
-        refuse((reason for reason, applies in reasons.items() if applies), names, DataError)
+        refuse(reasons, names, DataError)
         shift = plane[0] + plane[1] * (grid[1] / width - 0.5) + plane[2] * (grid[0] / height - 0.5)
         right = _warped(right, np.stack([grid[1], grid[0] + shift], axis=-1).astype(np.float32))
     return total, right

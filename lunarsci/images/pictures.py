@@ -31,6 +31,8 @@ RAW_TYPES = {
 MOST_PIXELS = 50_000_000
 """Of a picture, with all colours of a raw one: it takes 0.4 GB as numbers, and reading it five times as much."""
 NO_PICTURE = "no picture that can be read; give PNG, TIFF, JPEG or a PDS4 label"
+FLAT = 4.0
+"""A picture whose values spread less over their bits than this share of a thousand shows nothing; assumed."""
 TOO_LARGE = f"a picture of more than {MOST_PIXELS / 1e6:.0f} million pixels; cut out the part that is wanted"
 
 
@@ -65,9 +67,9 @@ class Picture:
         full = self.saturated.mean()
         reasons = {
             f"{full:.0%} of it is overexposed; take a shorter one": full > 0.5,
-            f"shows nothing: values {low:g} to {high:g} of {2**self.bits - 1}": high - low <= 1,
+            f"shows nothing: values {low:g} to {high:g} of {2**self.bits - 1}": high - low < FLAT * 1e-3 * 2**self.bits,
         }
-        refuse((reason for reason, applies in reasons.items() if applies), self.source.name, DataError)
+        refuse(reasons, self.source.name, DataError)
 
 
 def read_picture(source: str | Path | InputFile) -> Picture:
@@ -127,7 +129,7 @@ def _read_pds4(file: InputFile) -> Picture:
             names not in (["line", "sample"], ["line", "sample", "band"]) or kind not in RAW_TYPES,
         f"{'x'.join(map(str, shape))} are no picture, or too large a one; fetch it again": not 0 < count <= MOST_PIXELS,
     }  # fmt: skip
-    refuse((reason for reason, applies in reasons.items() if applies), file.name, DataError)
+    refuse(reasons, file.name, DataError)
     raw = read_input(Path(file.name).with_suffix(Path(file.name).suffix[:-1]))
     if (there := len(raw.data) - offset) < (needed := count * np.dtype(RAW_TYPES[kind]).itemsize):
         raise DataError(f"{raw.name}: {there} bytes, {needed} announced by its label; is it cut short?")

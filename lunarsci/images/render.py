@@ -94,7 +94,7 @@ class Landscape:
             f"needs reflectance above 0 at every node, {', '.join(ROCK_COLUMNS)} of rocks with half axes above 0, a "
             "spacing above 0, and the Sun 0 to 90 deg over the horizon": not (bright and rocky and placed),
         }
-        refuse((reason for reason, applies in reasons.items() if applies), self.name)
+        refuse(reasons, self.name)
 
     @property
     def sun(self) -> FloatArray:

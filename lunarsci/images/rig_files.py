@@ -574,7 +574,7 @@ def read_rig(*sources: str | InputFile) -> StereoRig:
         "a rig is a name, a TOML file, or two labels, left and right; give one of these": len(sources) not in (1, 2),
         f"{first}: no rig of that name ({', '.join(given)}) and no such file": named,
     }
-    refuse((reason for reason, applies in reasons.items() if applies), "", DataError)
+    refuse(reasons, "", DataError)
     inputs = [read_input(source) for source in sources]
     written = rig_or_camera(inputs)
     if isinstance(written, StereoRig):

@@ -7,9 +7,10 @@ measurement on ground without a track; what does not average is stated apart.
 The ground that was there before a wheel came: how alike ground is nearby, and its height between known places.
 """
 
+import contextlib
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -72,13 +73,17 @@ def read_line(given: str) -> FloatArray:
 
     Raises ParameterError for what is no line, DataError for a file that cannot be read.
     """
-    line: Any = given.split(",")
-    if given.lower().endswith((".json", ".geojson")):
-        line = next(_line_strings(read_json(read_input(given), "a GeoJSON line", lambda content: content)), [])
-    try:
-        points = np.array([part[:2] if isinstance(part, list) else part for part in line], dtype=float).reshape(-1, 2)
-    except (TypeError, ValueError):
-        points = np.empty((0, 2))
+    is_file = given.lower().endswith((".json", ".geojson"))
+    lines: Iterable[Any] = (
+        _line_strings(read_json(read_input(given), "a GeoJSON line", lambda content: content)) if is_file else ()
+    )
+    none = points = np.empty((0, 2))
+    with contextlib.suppress(TypeError, ValueError):
+        if is_file:
+            points = np.asarray([corner[:2] for corner in next(iter(lines), [])], dtype=np.float64)
+        else:
+            points = np.array([float(part) for part in given.split(",")]).reshape(-1, 2)
+    points = points if points.shape[1:] == (2,) else none
     steps = np.linalg.norm(np.diff(points, axis=0), axis=-1)
     if len(points) < 2 or not (np.isfinite(points).all() and (steps > 0).all()):
         raise ParameterError(

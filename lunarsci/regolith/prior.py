@@ -120,7 +120,7 @@ class Law:
         return np.degrees(np.arctan(np.exp(transform))) if self.of == "ln tan" else np.asarray(transform)
 
 
-LOAD_PRESSURE_PA = Law("ln", 3000.0, 0.9, "3 kPa of the Lunar Roving Vehicle; 68 % span 1.2 to 7.4 kPa")
+LOAD_PRESSURE_PA = Law("ln", 3000.0, 0.9, "3 kPa of the Lunar Roving Vehicle; width assumed, 68 % span 1.2 to 7.4 kPa")
 """Load of a wheel over its radius times its width: 1.6 kPa of Yutu-2, 3.0 of the Lunar Roving Vehicle (Costes, Farmer &
 George 1972, NASA TR R-401), 5.5 of the Mars Exploration Rovers (Lindemann & Voorhees 2005, 10.1109/ICSMC.2005.1571187).
 """

@@ -118,7 +118,7 @@ def test_refusals() -> None:
 @pytest.mark.parametrize(
     ("table", "why"),
     [
-        ("x_m,z_m,sigma_m\n0,0,1\n1,0,1\n", "no column x_m or y_m"),
+        ("x_m,z_m,sigma_m\n0,0,1\n1,0,1\n", "no column y_m; there are: x_m, z_m, sigma_m"),
         ("x_m,y_m,sigma_m\n0,0,1\n", "1 rows for 2 elevation models"),
         ("x_m,y_m\n0,0\n1,1\n", "no errors of the positions"),
         ("x_m,y_m,sigma_m\n0,0,1\n1,,1\n", "row 2: a position"),

@@ -76,6 +76,16 @@ def test_two_labels_make_a_rig_and_swapped_ones_are_refused() -> None:
         read_rig(files[0], files[0])
 
 
+@pytest.mark.parametrize("way", [(0.2, 0.05, 0.15), (0.1, 0.03, 0.25), (-0.1, 0.05, 0.25)])
+def test_a_baseline_far_from_the_rows_is_laid_along_them(way: tuple[float, float, float]) -> None:
+    """Its centres are in another frame than the directions; it is neither taken as it is nor called swapped."""
+    pose = Pose.looking([1.0, 2.0, 1.5], 70, 25, 2)
+    other = Pose(rotation=pose.rotation, center_m=pose.to_world(list(way)))
+    pair = read_rig(*(InputFile(f"{n}.2BL", pds4(pancam(), p)) for n, p in (("left", pose), ("right", other))))
+    assert pair.translation_m == pytest.approx([-np.linalg.norm(way), 0, 0], abs=1e-9)
+    assert any("laid along the rows" in line for line in pair.assumed)
+
+
 def test_labels_without_a_camera_are_refused() -> None:
     whole = pds4(pancam(), Pose.looking([1, 2, 1.5]))
     for gone, said in (

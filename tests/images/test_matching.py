@@ -131,6 +131,13 @@ def test_relief_is_what_a_plane_leaves_of_the_window_that_is_refined() -> None:
         assert found[row, column] == pytest.approx(np.sqrt((left**2).mean()), rel=1e-6)
 
 
+def test_cameras_one_ahead_of_the_other_are_no_rig_that_can_be_rectified() -> None:
+    lens = Camera(name="m", width_px=80, height_px=60, fx_px=90.0, fy_px=90.0, cx_px=39.5, cy_px=29.5)
+    ahead = {"rotation": np.eye(3), "translation_m": np.array([-0.05, 0.0, -1.0]), "covariance": np.zeros((24, 24))}
+    with pytest.raises(DataError, match="not to the right of the left one"):
+        rectify(StereoRig(name="m", left=lens, right=lens, **ahead))
+
+
 @pytest.mark.reference
 def test_a_real_pair_is_matched_no_worse_than_by_opencv() -> None:
     """Motorcycle of Middlebury (Scharstein et al. 2014, 10.1007/978-3-319-11752-2_3), whose disparities are known."""

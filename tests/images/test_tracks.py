@@ -106,6 +106,10 @@ def test_geojson(tmp_path: Path) -> None:
     path = tmp_path / "a.geojson"
     path.write_text('{"type":"Feature","geometry":{"type":"LineString","coordinates":[[1,2],[3,4,5]]}}')
     assert read_line(str(path)).tolist() == [[1, 2], [3, 4]]
+    for flat in ("[1,2,3,4]", "[[1],[2],[3],[4]]"):
+        path.write_text(f'{{"type":"LineString","coordinates":{flat}}}')
+        with pytest.raises(ParameterError, match="LineString"):
+            read_line(str(path))
     path.write_text('{"type":"Point","coordinates":[1,2]}')
     with pytest.raises(ParameterError, match="LineString"):
         read_line(str(path))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.images.calibration import (
     BoardTarget,
     CameraCalibration,
@@ -46,6 +46,8 @@ SIDES = ("left", "right")
 UNDETERMINED = 0.01
 """Errors as shares of the focal length, the picture's width and the baseline, from which these are not determined:
 assumed."""
+SEEN_SHARE = 0.6
+"""Share of the picture that boards must have covered, else it is said; assumed."""
 SWAPPED = (
     "left and right are swapped, or both cameras are upside down: the camera of `right` stands left of the other one; "
     "give its pictures first, and the others as `right`"
@@ -173,8 +175,12 @@ class CalibratedCameras(Result):
         fit = self.calibration
         notes = [f"errors are those of the residuals, {max(fit.between_pictures, 1):.2g} times, as pictures differ"]
         for k, camera in enumerate(fit.cameras):
+            if (share := _seen_share(fit, k)) < SEEN_SHARE:
+                notes.append(
+                    f"the board was seen in {share:.0%} of the {camera.name}'s picture; beyond is extrapolated"
+                )
             if (edge := self._corner(k)) > COARSE_PX:
-                hint = f"the board was seen in {_seen_share(fit, k):.0%} of it; find fewer terms (--distortion)"
+                hint = "see the board there, or find fewer terms (--distortion)"
                 notes.append(f"directions at the {camera.name}'s edge are uncertain by up to {edge:.1f} px: {hint}")
         if fit.tilt_deg < 30:
             notes.append(f"normals of the board lie within {fit.tilt_deg:.0f} deg; more tilt gives the focal length")
@@ -281,6 +287,8 @@ def calibrate_cameras(
     second = pictures_matching([right], "right") if isinstance(right, str) else right
     sides = [list(side) for side in (of_moments(first, second) if second else (first,))]
     shown = [[read_picture(one) for one in side] for side in sides]
+    if not all(shown):
+        raise RequestError("no pictures; give those of the board")
     refuse(_faults(shown), "", DataError)
     count = 1 + sum(map(len, shown))
     seen = []
@@ -323,7 +331,6 @@ def _faults(shown: Sequence[Sequence[Picture]]) -> Iterator[str]:
     names = [picture.source.name for side in shown for picture in side]
     yield from (f"{name}: is given twice; each picture counts once" for name in names if names.count(name) > 1)
     for side in shown:
-        yield from () if side else ("no pictures; give those of the board",)
         for picture in side:
             if picture.size != side[0].size:
                 sizes = (" x ".join(map(str, p.size)) for p in (picture, side[0]))

@@ -134,14 +134,14 @@ def merge(
 def read_positions(source: InputFile, count: int) -> list[StationPosition]:
     """Positions of stations from CSV, a row for each of `count`, in the order of the models. Raises DataError."""
     table = read_csv_table(source)
-    listed = {str(name) for name in table}
+    listed, present = {str(name) for name in table}, ", ".join(map(str, table.columns))
     reasons = {
-        f"no column x_m or y_m; there are: {', '.join(map(str, table.columns))}": not {"x_m", "y_m"} <= listed,
+        **{f"no column {name}; there are: {present}": name not in listed for name in ("x_m", "y_m")},
         f"{len(table)} rows for {count} elevation models; give one for each, in order": len(table) != count,
         "no errors of the positions; add sigma_m, or xx_m2, xy_m2, yy_m2 and zz_m2":
             not ("sigma_m" in listed or {*ERRORS[:3]} <= listed),
     }  # fmt: skip
-    refuse((reason for reason, applies in reasons.items() if applies), source.name, DataError)
+    refuse(reasons, source.name, DataError)
     columns = {
         name: numbers_of(source.name, name, table[name]) for name in (*NEEDED, *ERRORS, "sigma_m") if name in table
     }

@@ -50,7 +50,7 @@ class CalibrateCamerasRequest:
             "`marker`: give the side of the markers in m, less than that of `square`":
                 self.target == "charuco" and not 0 < self.marker < self.square,
         }  # fmt: skip
-        refuse((reason for reason, applies in reasons.items() if applies), kind=RequestError)
+        refuse(reasons, kind=RequestError)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

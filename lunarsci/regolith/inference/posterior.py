@@ -572,7 +572,8 @@ def judge(mode: Mode, model: str, given: bool, states: WheelStates, unusable: fl
         reasons.append(f"{100 * unusable:.0f} % of the states cannot be used")
     laws = {name: mode.problem.prior[name] for name in mode.problem.names}
     reasons += strange(laws, mode.point, np.sqrt(np.diag(mode.covariance)))
-    good = max(shares) <= TYPICAL and total <= max(float(chdtri(left, SIGNIFICANCE)), left) if left >= 1 else True
+    likely = left < 1 or total <= max(float(chdtri(left, SIGNIFICANCE)), left)
+    good = max(shares) <= TYPICAL and likely
     # A law that fits as well as laws do leaves nothing for another reading of a column to explain.
     explained = bool(states.questions) or (good and not outliers and not reasons)
     turned = [] if explained else suspects(mode, units=bool(reasons))

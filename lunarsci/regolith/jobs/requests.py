@@ -99,6 +99,8 @@ class WheelForcesRequest:
         except ValueError as error:
             ways = f"a number, or FIRST:LAST:N with FIRST below LAST and N from 2 to {MOST_SLIPS}"
             raise RequestError(f"`slip` is '{self.slip}'; give {ways}") from error
+        if not rest:
+            return [first]
         shares = [k / max(int(count) - 1, 1) for k in range(int(count))]
         return [first * (1.0 - share) + last * share for share in shares]
 

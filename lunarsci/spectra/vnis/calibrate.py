@@ -220,7 +220,7 @@ def _lit_footprint(observation: Observation, settings: Settings, limit: float, n
         "all images are equally bright, which sunlit ground is not; the axes of the cube are not band, line, sample, "
         "fetch it again": flat,
     }  # fmt: skip
-    refuse((reason for reason, applies in reasons.items() if applies), observation.id, DataError)
+    refuse(reasons, observation.id, DataError)
     if shadowed > _MUCH_SHADOW * inside:
         notes.warn(share)
     if shadowed:
@@ -326,7 +326,7 @@ def _check_level(item: DetectorSpectrum, label: Label, id: str) -> None:
         f"{name} is brighter than any rock (median reflectance {level:.3g}); radiance is not in W m-2 sr-1 nm-1, or "
         "the label's Sun is wrong; fetch the product again": level > RANGE[1],
     }
-    refuse((reason for reason, applies in reasons.items() if applies), id, DataError)
+    refuse(reasons, id, DataError)
 
 
 def _spliced(

@@ -203,10 +203,10 @@ LAYOUTS: dict[str, Callable[[str, Path], PublicDrive]] = {PROCESSED: _captured, 
 def _rows(file: InputFile, columns: int) -> FloatArray:
     """Numbers of a table in the order of time, by place: its header is a comment, whose names hold commas."""
     try:
-        rows = np.loadtxt(text(file).splitlines(), delimiter=",", ndmin=2, usecols=range(columns))
+        rows = np.loadtxt(text(file).splitlines(), delimiter=",", ndmin=2)
     except ValueError as error:
         raise DataError(f"{file.name}: {error}; rows of {columns} numbers are needed") from error
-    if len(rows) < 2:
+    if rows.shape[1] != columns or len(rows) < 2:
         raise DataError(f"{file.name}: has no rows of {columns} numbers; is the file complete?")
     _, first = np.unique(rows[:, 0], return_index=True)
     return np.asarray(rows[first])

@@ -685,7 +685,7 @@ def _used(
     if used.sum() < 2:
         raise DataError(
             f"{telemetry.file}: {used.sum()} {name}s of use among {given.sum()} ({(given & ~sound).sum()} have errors "
-            f"that are none, {same.sum()} repeat another); slip needs two or more"
+            f"that are missing or wrong, {same.sum()} repeat another); slip needs two or more"
         )
     return used
 

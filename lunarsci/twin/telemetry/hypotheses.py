@@ -545,7 +545,7 @@ def probable_sets(priors: Priors, squares: FloatArray) -> list[BoolArray]:
     while True:
         near = [np.where(np.arange(len(held)) == k, ~held, held) for k in range(len(held))]
         values = [probable(one) for one in near]
-        if not values or max(values) <= best:
+        if not values or not max(values) > best:
             return [held, *near]
         best, held = max(values), near[int(np.argmax(values))]
 

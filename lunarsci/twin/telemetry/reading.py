@@ -618,7 +618,7 @@ def _numbers(file: str, table: "pd.DataFrame", rover: Rover, *, placed: bool) ->
     used |= {form.format(wheel) for form in WHEEL_COLUMNS.values() for wheel in rover.wheels}
     times = columns["time_s"][0]
     if DATE.match(str(next(iter(table[times].dropna()), ""))):
-        table = table.assign(**{times: _since_1970_s(table[times])})
+        table = table.assign(**{times: _since_1970_s(file, table[times])})
     return {
         name: factor * numbers_of(file, column, table[column])
         for name, (column, factor) in columns.items()
@@ -626,12 +626,15 @@ def _numbers(file: str, table: "pd.DataFrame", rover: Rover, *, placed: bool) ->
     }
 
 
-def _since_1970_s(dates: "pd.Series") -> "pd.Series":
-    """Dates as seconds since 1970, in UTC where they do not say; as they are where they are none."""
+def _since_1970_s(file: str, dates: "pd.Series") -> "pd.Series":
+    """Dates as seconds since 1970, in UTC where they do not say, blank ones as they are. Raises DataError."""
     import pandas as pd
 
     parsed = pd.to_datetime(dates, utc=True, format="ISO8601", errors="coerce")
-    return dates if parsed.isna().any() else (parsed - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
+    if (bad := dates[parsed.isna() & dates.notna()]).size:
+        text = "give dates as 2026-11-24T10:00:00Z, or seconds"
+        raise DataError(f"{file}, time_s: '{bad.iloc[0]}' is no date that can be read; {text}")
+    return (parsed - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
 
 
 def _telemetry(

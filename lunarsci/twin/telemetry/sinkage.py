@@ -16,7 +16,6 @@ from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError
 from lunarsci.io.inputs import InputFile
 from lunarsci.io.tables import check_columns, numbers_of, read_csv_table
-from lunarsci.ranges import refuse
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 from lunarsci.twin.telemetry.hypotheses import REPORTED
@@ -87,11 +86,13 @@ def read_track(source: InputFile) -> RutPoints:
     sigma = np.full(len(rut), SIGMA_M)
     if "rut_m_sigma" in table:
         given = numbers_of(source.name, "rut_m_sigma", table["rut_m_sigma"])
-        refuse(
-            ["an error is below 0; give 0 or more"] * bool((given < 0).any()), f"{source.name}, rut_m_sigma", DataError
-        )
+        if (given < 0).any():
+            row = int(np.argmax(given < 0))
+            raise DataError(f"{source.name}, row {row + 1}, rut_m_sigma: {given[row]:g}; give 0 or more")
         sigma = np.where(np.isfinite(given), given, SIGMA_M)
     whole = np.isfinite(x) & np.isfinite(y) & np.isfinite(rut)
+    if not whole.any():
+        raise DataError(f"{source.name}: no row has x_m, y_m and rut_m")
     return RutPoints(place_m=np.column_stack([x, y])[whole], rut_m=rut[whole], sigma_m=sigma[whole])
 
 
@@ -99,13 +100,15 @@ def rut_points(before: Terrain, after: Terrain, places_m: FloatArray, reach_m: f
     """Depths where wheels stood, from the ground before less that after the drive; NaN heights are left out.
 
     Places (m, 2) are each compared at a grid of points within the distance. The error of a point is `SIGMA_M`; where
-    the two maps scatter more, `RutPoints.depth_at` adds it.
+    the two maps scatter more, `RutPoints.depth_at` adds it. Raises DataError where the maps have nothing in common.
     """
     steps = np.linspace(-0.7 * reach_m, 0.7 * reach_m, GRID)
     around = np.column_stack([part.ravel() for part in np.meshgrid(steps, steps)])
     points = (places_m[:, None] + around).reshape(-1, 2)
     rut = before.height_at(*points.T) - after.height_at(*points.T)
     given = np.isfinite(rut)
+    if not given.any():
+        raise DataError(f"{after.name}: no height below any wheel; is it the ground of this drive?")
     return RutPoints(place_m=points[given], rut_m=rut[given], sigma_m=np.full(int(given.sum()), SIGMA_M))
 
 
@@ -224,7 +227,7 @@ def _picked(rows: StateRows, numbers: IndexArray) -> StateRows:
 def _check_along(drive: DriveStates, points: RutPoints, depth: FloatArray, given: BoolArray) -> None:
     met = float(np.isfinite(depth[given]).mean()) if given.any() else 0.0
     if met == 0:
-        x, y = np.median(points.place_m, axis=0) if len(points.place_m) else (math.nan, math.nan)
+        x, y = np.median(points.place_m, axis=0)
         raise DataError(
             f"the track has no point within half a wheel's width of a wheel; it lies about x {x:.4g} m, y {y:.4g} m: "
             "is it of this drive, in its frame, in m?"

@@ -287,8 +287,10 @@ def smooth(
     priors : of the constants; None takes the plain ones, and errors that are normal.
     start : what the model is first linearised about; None takes dead reckoning.
 
-    Raises DataError where the numbers do not hold.
+    Raises DataError for fewer than two positions, or where the numbers do not hold.
     """
+    if nodes.fixed.sum() < 2:
+        raise DataError("fewer than two positions of use; slip needs two or more")
     robust, priors = priors is not None, priors or Priors.plain(nodes)
     try:
         reference = start or ReferenceMotion.first(nodes)

@@ -7,6 +7,7 @@ import dataclasses
 import itertools
 import math
 import warnings
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
@@ -414,7 +415,10 @@ def states_of(
 
     Raises DataError for telemetry that cannot be used, or that is not in the frame or the units it should be.
     """
-    sent, schedule = _wheel_turns(in_units(ordered(telemetry, findings), rover, findings), rover, findings), None
+    legs = () if plan is None else plan.legs
+    tested = {leg.wheel_test.wheel for leg in legs if leg.wheel_test is not None}
+    named = in_units(ordered(telemetry, findings), rover, findings)
+    sent, schedule = _wheel_turns(named, rover, findings, tested), None
     as_planned, longer_s, pace = False, 0.0, None
     if plan is not None:
         schedule = make_schedule(plan, rover)
@@ -428,7 +432,7 @@ def states_of(
     if meant is not telemetry:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", LunarSciWarning)
-            sent = _wheel_turns(meant, rover, Findings(meant.file))
+            sent = _wheel_turns(meant, rover, Findings(meant.file), tested)
     sent = sent._replace(telemetry=meant)
     if plan is not None and schedule is not None:
         check_ends(meant, schedule, longer_s, findings)
@@ -436,7 +440,7 @@ def states_of(
     return dataclasses.replace(_along_the_ground(sent, rover, terrain, schedule, lag_s, findings), pace=pace)
 
 
-def _wheel_turns(telemetry: Telemetry, rover: Rover, findings: Findings) -> Rows:
+def _wheel_turns(telemetry: Telemetry, rover: Rover, findings: Findings, tested: Collection[str]) -> Rows:
     """How the wheels turned and were steered."""
     gaps = time_gaps(telemetry, findings)
     wheels = wheel_motion(telemetry, rover, gaps, findings)
@@ -444,7 +448,7 @@ def _wheel_turns(telemetry: Telemetry, rover: Rover, findings: Findings) -> Rows
     wheels = replace(wheels, trusted=wheels.trusted & steered[1:] & steered[:-1])
     steering = np.radians(angle)
     middle, steps = 0.5 * (steering[1:] + steering[:-1]), np.diff(telemetry.time_s)
-    return Rows(telemetry, of_one_motion(wheels, rover, middle, steps, findings), steering, gaps)
+    return Rows(telemetry, of_one_motion(wheels, rover, middle, steps, findings, tested), steering, gaps)
 
 
 def _along_the_ground(

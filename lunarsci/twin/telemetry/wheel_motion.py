@@ -13,6 +13,7 @@ forces where slips are small, and inertia is none.
 
 import itertools
 import warnings
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -43,6 +44,8 @@ ON_THE_SPOT = 0.1
 PACE = 0.02
 """Share by which a wheel may turn faster or slower than the plan or the others say, unsaid: it is a slip of as much;
 assumed."""
+MOST_SCALE = 1.5
+"""Farthest that an encoder's scale is off, as by another wheel or gear; assumed."""
 BLOCK_M = 0.5
 """Way over which rims are averaged, as the last digits of encoders count less in it. Half or twice as much moves slips
 by 0.05 of their errors at most, as measured. [m]"""
@@ -352,7 +355,12 @@ def fitted_twist(
 
 
 def of_one_motion(
-    wheels: WheelMotion, rover: Rover, steering_rad: FloatArray, step_s: FloatArray, findings: Findings
+    wheels: WheelMotion,
+    rover: Rover,
+    steering_rad: FloatArray,
+    step_s: FloatArray,
+    findings: Findings,
+    tested: Collection[str] = (),
 ) -> WheelMotion:
     """Wheels whose rims tell of the motions of one rigid rover, with the encoder mended that fits the others least.
 
@@ -362,6 +370,7 @@ def of_one_motion(
     Parameters
     ----------
     steering_rad, step_s : between rows. (n - 1, wheels) [rad], (n - 1,) [s]
+    tested : wheels that slip on purpose (`wheel_test` of the plan): what one of them does otherwise is no fault.
     """
     given = np.isfinite(wheels.rim_m_s).all(axis=1) & wheels.moving
     if not given.any() or not rover.steered_mask.any():
@@ -383,10 +392,12 @@ def of_one_motion(
         twist, off = body_twist(rover, others, steering)
         left.append((float(np.mean(off**2)), k, np.einsum("ni,ni->n", along[:, k], twist)))
     _, k, expected = min(left)
+    if rover.wheels[k] in tested:
+        return wheels
     turning = np.abs(expected) > UNDER_WAY * np.abs(expected).max()
     scale, trusted = float(np.median(rims[turning, k] / expected[turning])), wheels.trusted.copy()
     # A wheel that stands, or turns otherwise altogether, is no encoder that counts in another scale.
-    counts = UNDER_WAY < scale < 1.0 / UNDER_WAY
+    counts = 1.0 / MOST_SCALE < scale < MOST_SCALE
     mended = np.where(np.arange(len(rover.wheels)) == k, scale if counts else np.nan, 1.0)
     trusted[:, k] &= counts
     off_m_s = float(np.median(body_twist(rover, rims / mended, steering)[1])) / wheels.usual_m_s

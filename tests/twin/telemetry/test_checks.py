@@ -291,7 +291,7 @@ REFUSED: dict[str, tuple[Spoil, str]] = {
         ),
         "speed_W_m_s looks like cm/s, or speed_W_m_s looks like mm/s",
     ),
-    "no covariance at all": (set_to(ALL, ["xx_m2"], lambda v: -v), "11 have errors that are none"),
+    "no covariance at all": (set_to(ALL, ["xx_m2"], lambda v: -v), "11 have errors that are missing or wrong"),
     "one position": (lambda t: t.assign(x_m=t.x_m.where(t.index == 0)), "1 positions of use"),
     "wheels of another rover": (
         lambda t: t.rename(columns=lambda c: c.replace("_ML_", "_M1_").replace("_MR_", "_M2_")), "'M1' is no wheel",
@@ -303,7 +303,7 @@ REFUSED: dict[str, tuple[Spoil, str]] = {
         lambda t: t.rename(columns={"x_m": "x_pos"}).drop(columns=["yaw_deg", *filter(STEERED.match, t)]),
         r"missing: x_m \(.*\), yaw_deg, steered_W_deg or steering_W_deg of each wheel W; .* template telemetry",
     ),
-    "no dates": (lambda t: t.assign(time_s="2026-11-24Tx"), "'2026-11-24Tx' is no number"),
+    "no dates": (lambda t: t.assign(time_s="2026-11-24Tx"), "is no date that can be read; give dates as 2026-11-24T10"),
     "text": (lambda t: t.assign(yaw_deg=["east", *t.yaw_deg[1:]]), "'east' is no number"),
     "too short": (lambda t: t.iloc[:4], "4 rows with a time"),
     "still": (

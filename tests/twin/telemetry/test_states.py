@@ -18,7 +18,7 @@ from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.plans.motion import read_motion
 from lunarsci.twin.plans.path import commands_at, make_schedule
-from lunarsci.twin.plans.plan import Fixes, Leg, Plan, read_plan
+from lunarsci.twin.plans.plan import Fixes, Leg, Plan, WheelTest, read_plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.telemetry.checks import with_positions
@@ -327,6 +327,27 @@ def test_halts_have_no_slip_and_are_not_valid(yutu2: Rover) -> None:
     assert states.findings.entries == []
 
 
+@pytest.mark.parametrize(("wheel", "ratio"), [("ML", 0.5), ("ML", 1.3), ("FL", 0.6)])
+def test_a_wheel_that_slips_on_purpose_is_no_encoder_in_another_scale(yutu2: Rover, wheel: str, ratio: float) -> None:
+    plan = Plan(name="test", legs=(Leg(6.0, wheel_test=WheelTest(wheel, ratio)),), speed_m_s=0.05)
+    drive, terrain = made_up(yutu2, 0, plan)
+    states = found(drive, terrain)
+    of_wheel = yutu2.wheels.index(wheel)
+    valid = states.rows.valid[:, of_wheel]
+    assert valid.sum() > 2 and not {"encoder scale", "read as"} & {one.kind for one in states.findings.entries}
+    wanted = truth(states, drive.prediction, "slip_ratio")[valid, of_wheel]
+    assert np.abs(wanted).min() > 0.1
+    assert np.median(states.rows.slip_ratio[valid, of_wheel]) == pytest.approx(np.median(wanted), abs=0.03)
+
+
+def test_two_positions_that_a_lag_takes_off_the_rows_are_too_few(yutu2: Rover) -> None:
+    drive, terrain = made_up(yutu2, 1, PLAN, SensorErrors(fix_sigma_m=0.007, fix_distance_m=100.0))
+    findings = Findings("made-up.csv")
+    sent = read_telemetry(file(drive.telemetry), yutu2, findings)
+    with pytest.raises(DataError, match="fewer than two positions of use"):
+        states_of(sent, yutu2, terrain, findings, PLAN, lag_s=-5.0)
+
+
 def test_a_wheel_that_turns_backwards_slips_alike(yutu2: Rover) -> None:
     """Telemetry of a drive that is played in reverse: wheels, way and all; what slipped ahead slips behind."""
     drive, terrain = made_up(yutu2, 0, Plan(name="straight", legs=(Leg(4.0),), speed_m_s=0.05))
@@ -427,7 +448,8 @@ def test_two_terrains_give_the_depth_between_them() -> None:
     depth, sigma = points.depth_at(np.array([[1.0, 1.0], [0.2, 0.2]]), 0.075)
     assert depth[0] == pytest.approx(0.009) and np.isnan(depth[1])
     assert sigma[0] == pytest.approx(0.00033, rel=1e-3)
-    assert not len(rut_points(before, after, np.array([[9.0, 9.0]]), 0.075).rut_m)
+    with pytest.raises(DataError, match="no height below any wheel"):
+        rut_points(before, after, np.array([[9.0, 9.0]]), 0.075)
     # Scatter within a footprint is an error, too.
     scattered = RutPoints(
         place_m=np.zeros((4, 2)), rut_m=np.array([0.008, 0.010, 0.008, 0.010]), sigma_m=np.full(4, 0.0003)

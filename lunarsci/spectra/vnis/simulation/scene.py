@@ -184,7 +184,7 @@ class Scene:
                 self.shadow_shape not in ("half-plane", "blobs"),
             f"the time {self.time.isoformat()} has no time zone; give it in UTC, ending in Z": self.time.tzinfo is None,
         }  # fmt: skip
-        refuse(reason for reason, applies in reasons.items() if applies)
+        refuse(reasons)
         self.swir_geometry()
 
     @property
