@@ -22,10 +22,12 @@ LANES = 8
 FUSED = ("contract",)
 """a * b + c may be one instruction; nothing else is changed, so that a lane gives what the formula says."""
 
-DOUBLE, INTEGER = ir.DoubleType(), ir.IntType(64)
-"""LLVM's types of a plain double and of a plain whole number."""
-DOUBLES = ir.VectorType(DOUBLE, LANES)
-"""LLVM's type of eight doubles side by side."""
+DOUBLE, SINGLE, INTEGER = ir.DoubleType(), ir.FloatType(), ir.IntType(64)
+"""LLVM's types of a plain double, a plain single and a plain whole number."""
+DOUBLES, SINGLES = ir.VectorType(DOUBLE, LANES), ir.VectorType(SINGLE, LANES)
+"""LLVM's types of eight doubles and of eight singles side by side."""
+SINGLE_BITS = 32
+"""Of a single (IEEE 754)."""
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -47,7 +49,8 @@ class Traced:
 
     def called(self, name: str, *others: "Traced") -> "Traced":
         """What an intrinsic function of LLVM, such as `sqrt`, makes of this and others of the same type."""
-        kind, short = self.value.type, "f64" if self.value.type == DOUBLE else f"v{LANES}f64"
+        kind = self.value.type
+        short = {DOUBLE: "f64", DOUBLES: f"v{LANES}f64", SINGLES: f"v{LANES}f32"}[kind]
         signature = ir.FunctionType(kind, [kind] * (1 + len(others)))
         full = f"llvm.{name}.{short}"
         function = self.builder.module.globals.get(full) or ir.Function(self.builder.module, signature, full)
@@ -141,7 +144,7 @@ class TracedWhole(TracedReal):
 
 
 class TracedNumber(TracedReal):
-    """A double, or eight of them."""
+    """A double, or eight of them, or eight singles; what meets singles is rounded to one."""
 
     @property
     def number(self) -> "TracedNumber":
@@ -162,14 +165,25 @@ class TracedNumber(TracedReal):
         return TracedMask(self.builder, self.builder.fcmp_ordered(how, *alike(self, self.like(other))))
 
     @property
+    def is_single(self) -> bool:
+        """Whether these are eight singles."""
+        return bool(self.value.type == SINGLES)
+
+    @property
     def bits(self) -> ir.Value:
         """The same bits as whole numbers."""
-        return self.builder.bitcast(self.value, INTEGER if self.value.type == DOUBLE else ir.VectorType(INTEGER, LANES))
+        return self.builder.bitcast(self.value, self._bits_type)
 
     def whole(self, number: int) -> ir.Constant:
         """A whole number for `bits`."""
-        one = INTEGER(number)
-        return one if self.value.type == DOUBLE else ir.Constant(ir.VectorType(INTEGER, LANES), [number] * LANES)
+        kind = self._bits_type
+        return ir.Constant(kind, [number] * LANES) if isinstance(kind, ir.VectorType) else kind(number)
+
+    @property
+    def _bits_type(self) -> ir.Type:
+        if self.value.type == DOUBLE:
+            return INTEGER
+        return ir.VectorType(ir.IntType(32) if self.is_single else INTEGER, LANES)
 
     def from_bits(self, bits: ir.Value) -> "TracedNumber":
         """The number, or the eight, whose `bits` these are."""
@@ -178,25 +192,32 @@ class TracedNumber(TracedReal):
 
 def in_every_lane(builder: ir.IRBuilder, value: ir.Value) -> ir.Value:
     """A plain value in every lane."""
-    if isinstance(value, ir.Constant) and value.type == DOUBLE:
-        return ir.Constant(DOUBLES, [value.constant] * LANES)
+    if isinstance(value, ir.Constant) and value.type in (DOUBLE, SINGLE):
+        return ir.Constant(ir.VectorType(value.type, LANES), [value.constant] * LANES)
     one = builder.insert_element(ir.Constant(ir.VectorType(value.type, LANES), ir.Undefined), value, ir.IntType(32)(0))
     return builder.shuffle_vector(one, one, ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES))
 
 
 def alike(*values: Traced) -> list[ir.Value]:
-    """Values of one shape: all plain, or all of eight."""
-    wide = any(isinstance(value.value.type, ir.VectorType) for value in values)
+    """Values of one shape: all plain, or all of eight; of one precision, the lower."""
+    kinds = [value.value.type for value in values]
+    wide = any(isinstance(kind, ir.VectorType) for kind in kinds)
+    made = [rounded(value.builder, value.value) if SINGLES in kinds else value.value for value in values]
     return [
-        in_every_lane(value.builder, value.value)
-        if wide and not isinstance(value.value.type, ir.VectorType)
-        else value.value
-        for value in values
+        in_every_lane(value.builder, one) if wide and not isinstance(one.type, ir.VectorType) else one
+        for value, one in zip(values, made, strict=True)
     ]
 
 
+def rounded(builder: ir.IRBuilder, value: ir.Value) -> ir.Value:
+    """Doubles as singles; what else there is as it is."""
+    if value.type not in (DOUBLE, DOUBLES):
+        return value
+    return builder.fptrunc(value, SINGLES if value.type == DOUBLES else SINGLE)
+
+
 class TracedTable(Traced):
-    """An array of doubles; its numbers are read by whole indices.
+    """An array of doubles or singles; its numbers are read by whole indices.
 
     context, kind : numba's target context, and its type of the array.
     value : numba's structure of the array.
@@ -220,10 +241,15 @@ class TracedTable(Traced):
 
         return get_item_pointer(self.context, self.builder, self.kind, self.array, places)
 
+    @property
+    def eight(self) -> ir.VectorType:
+        """LLVM's type of eight of its numbers."""
+        return SINGLES if self.kind.dtype.bitwidth == SINGLE_BITS else DOUBLES
+
     def row(self, number: "TracedWhole | int") -> ir.Value:
         """Pointer to a row of a contiguous array of eight columns."""
         place = number.value if isinstance(number, TracedWhole) else INTEGER(number)
-        return self.builder.gep(self.builder.bitcast(self.array.data, DOUBLES.as_pointer()), [place])
+        return self.builder.gep(self.builder.bitcast(self.array.data, self.eight.as_pointer()), [place])
 
     def __iter__(self) -> Any:
         raise TypeError("a formula cannot take an array apart, whose length it does not know; give it a tuple")
@@ -235,7 +261,7 @@ class TracedTable(Traced):
 
     def lanes(self, *index: "TracedWhole | int") -> ir.Value:
         """Pointer to eight neighbouring numbers, from an entry on."""
-        return self.builder.bitcast(self.at(*index), DOUBLES.as_pointer())
+        return self.builder.bitcast(self.at(*index), self.eight.as_pointer())
 
 
 OFFERED: list[Callable[..., Any]] = []

@@ -23,6 +23,7 @@ from lunarsci.compiled.formulas import (
     DOUBLE,
     DOUBLES,
     OFFERED,
+    SINGLES,
     Traced,
     TracedMask,
     TracedNumber,
@@ -33,22 +34,23 @@ from lunarsci.compiled.formulas import (
 
 
 class Lanes(types.Type):
-    """Numba's type of eight doubles."""
+    """Numba's type of eight numbers side by side: a vector of LLVM."""
 
-    def __init__(self) -> None:
-        super().__init__(name="eight doubles")
+    def __init__(self, vector: ir.VectorType) -> None:
+        super().__init__(name=f"lanes {vector}")
+        self.vector = vector
 
 
-EIGHT = Lanes()
-"""The one instance."""
+EIGHT = {vector: Lanes(vector) for vector in (DOUBLES, SINGLES)}
+"""Of doubles and of singles."""
 
 
 @register_model(Lanes)
 class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
-    """How numba stores `Lanes`: as the vector of LLVM that it is."""
+    """How numba stores `Lanes`: as the vector that it is."""
 
     def __init__(self, manager: Any, kind: Any) -> None:
-        super().__init__(manager, kind, DOUBLES)
+        super().__init__(manager, kind, kind.vector)
 
 
 def _plain_tuple(*entries: Any) -> tuple[Any, ...]:
@@ -69,7 +71,7 @@ def _traced(context: Any, builder: ir.IRBuilder, kind: Any, value: ir.Value) -> 
         return TracedMask(builder, value)
     if isinstance(kind, types.Integer):
         return TracedWhole(builder, context.cast(builder, value, kind, types.int64))
-    if kind == EIGHT:
+    if isinstance(kind, Lanes):
         return TracedNumber(builder, value)
     return TracedNumber(builder, context.cast(builder, value, kind, types.float64))
 
@@ -81,7 +83,7 @@ def _kind(result: Any) -> Any:
     if result is None:
         return types.none
     if isinstance(result, TracedNumber):
-        return types.float64 if result.value.type == DOUBLE else EIGHT
+        return types.float64 if result.value.type == DOUBLE else EIGHT[result.value.type]
     return types.boolean if isinstance(result, TracedMask) else types.float64
 
 
@@ -158,8 +160,9 @@ def _takes(count: int, arguments: Sequence[Any]) -> bool:
 
 
 def _eight_or_plain(kinds: Sequence[Any]) -> bool:
-    """Whether operands are eight doubles, or one is and the other is a plain float: numba has operators of others."""
-    return EIGHT in kinds and all(kind == EIGHT or isinstance(kind, types.Float) for kind in kinds)
+    """Whether operands are eight numbers, or one is and the other is a plain float: numba has operators of others."""
+    eight = [isinstance(kind, Lanes) for kind in kinds]
+    return any(eight) and all(one or isinstance(kind, types.Float) for one, kind in zip(eight, kinds, strict=True))
 
 
 for _symbol, _inplace in (

@@ -14,7 +14,7 @@ times as fast as one after the other.
 """
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from llvmlite import ir
@@ -25,19 +25,41 @@ from lunarsci.compiled.formulas import (
     DOUBLES,
     INTEGER,
     LANES,
+    SINGLES,
     Traced,
+    TracedMask,
     TracedNumber,
     alike,
     formula,
     in_every_lane,
+    rounded,
 )
 
 LINE = 64
 """Bytes of a cache line: a row of eight that lies across two of them costs two reads."""
-MANTISSA_BITS, BIAS = 52, 1023
-"""Of a double (IEEE 754): bits of the mantissa, and by how much its exponent is stored too large."""
-ROUNDING = 1.5 * 2.0**MANTISSA_BITS
-"""Added to an integer below 2^51, leaves that integer in the lowest bits of the sum."""
+
+
+class Layout(NamedTuple):
+    """How numbers are stored (IEEE 754), and how exponentials of them are made.
+
+    Attributes
+    ----------
+    mantissa_bits, bias : bits of the mantissa, and by how much the exponent is stored too large.
+    largest : beyond it, to either side, an exponential is taken as there.
+    ln_2 : in two parts, the first with trailing zeros, so that whole multiples of it are exact.
+    rest : coefficients of (exp(y) - 1 - y - y^2/2) / y^3 within half ln 2.
+    """
+
+    mantissa_bits: int
+    bias: int
+    largest: float
+    ln_2: tuple[float, float]
+    rest: tuple[float, ...]
+
+    @property
+    def rounding(self) -> float:
+        """Added to a small integer, leaves that integer in the lowest bits of the sum."""
+        return 1.5 * 2.0**self.mantissa_bits
 
 
 @formula
@@ -54,7 +76,8 @@ def store(array: Any, row: Any, value: Any) -> None:
     if isinstance(array, np.ndarray):
         array[row] = value
     else:
-        array.builder.store(value.value, array.row(row), align=8)
+        made = rounded(array.builder, value.value) if array.eight == SINGLES else value.value
+        array.builder.store(made, array.row(row), align=8)
 
 
 @formula
@@ -63,6 +86,22 @@ def spread(number: Any) -> Any:
     if not isinstance(number, TracedNumber):
         return np.full(LANES, float(number))
     return TracedNumber(number.builder, in_every_lane(number.builder, number.value))
+
+
+@formula
+def filled(array: Any, number: Any) -> Any:
+    """A plain number in every lane, as exact as the numbers of an array are."""
+    if isinstance(array, np.ndarray):
+        return np.full(LANES, number, array.dtype)
+    every = in_every_lane(array.builder, number.value)
+    return TracedNumber(array.builder, rounded(array.builder, every) if array.eight == SINGLES else every)
+
+
+@formula
+def negligible(array: Any) -> Any:
+    """The x of which exp(-x) is some units in the last place of 1, for numbers of an array's kind."""
+    double = array.dtype == np.float64 if isinstance(array, np.ndarray) else array.eight == DOUBLES
+    return LN_2_HIGH * (DOUBLES_LAYOUT if double else SINGLES_LAYOUT).mantissa_bits
 
 
 @formula
@@ -79,6 +118,16 @@ def choose(condition: Any, one: Any, other: Any) -> Any:
     if isinstance(condition.value.type, ir.VectorType):
         return TracedNumber(builder, builder.select(*alike(condition, first, second)))
     return TracedNumber(builder, builder.select(condition.value, *alike(first, second)))
+
+
+@formula
+def is_above(values: Any, limit: Any) -> Any:
+    """Whether any of eight numbers is above a limit, which a number without meaning is not."""
+    above = values > limit
+    if not isinstance(above, TracedMask):
+        return bool(np.any(above))
+    bits = above.builder.bitcast(above.value, ir.IntType(LANES))
+    return TracedMask(above.builder, above.builder.icmp_unsigned("!=", bits, ir.IntType(LANES)(0)))
 
 
 @formula
@@ -115,11 +164,12 @@ def signed(x: Any, sign: Any) -> Any:
 
 @formula
 def two_to(power: Any) -> Any:
-    """2^k of whole numbers k between -1022 and 1023."""
-    low = power + (ROUNDING + BIAS)
+    """2^k of whole numbers k between -1022 and 1023, of singles -126 and 127."""
+    layout = _layout(power)
+    low = power + (layout.rounding + layout.bias)
     if not isinstance(power, TracedNumber):
-        return (np.asarray(low).view(np.int64) << MANTISSA_BITS).view(np.float64)[()]
-    return low.from_bits(power.builder.shl(low.bits, power.whole(MANTISSA_BITS)))
+        return (np.asarray(low).view(np.int64) << layout.mantissa_bits).view(np.float64)[()]
+    return low.from_bits(power.builder.shl(low.bits, power.whole(layout.mantissa_bits)))
 
 
 @formula
@@ -127,9 +177,9 @@ def exponent_of(value: Any) -> Any:
     """The whole k of value = 2^k m with m from 1 to 2; for positive normal numbers."""
     if not isinstance(value, TracedNumber):
         return np.frexp(value)[1] - 1.0
-    bits = value.builder.lshr(value.bits, value.whole(MANTISSA_BITS))
-    high = value.builder.or_(bits, value.whole((BIAS + MANTISSA_BITS) << MANTISSA_BITS))
-    return value.from_bits(high) - (2.0**MANTISSA_BITS + BIAS)
+    bits, bias, *_ = _layout(value)
+    high = value.builder.or_(value.builder.lshr(value.bits, value.whole(bits)), value.whole((bias + bits) << bits))
+    return value.from_bits(high) - (2.0**bits + bias)
 
 
 @formula
@@ -137,14 +187,21 @@ def mantissa_of(value: Any) -> Any:
     """The m of value = 2^k m with m from 1 to 2; for positive normal numbers."""
     if not isinstance(value, TracedNumber):
         return 2.0 * np.frexp(value)[0]
-    bits = value.builder.and_(value.bits, value.whole((1 << MANTISSA_BITS) - 1))
-    return value.from_bits(value.builder.or_(bits, value.whole(BIAS << MANTISSA_BITS)))
+    bits, bias, *_ = _layout(value)
+    low = value.builder.and_(value.bits, value.whole((1 << bits) - 1))
+    return value.from_bits(value.builder.or_(low, value.whole(bias << bits)))
 
 
-def aligned(rows: int, columns: int = LANES) -> FloatArray:
-    """Zeros, (rows, columns), each eight in a cache line of their own."""
-    room = np.zeros(rows * columns + LINE // 8)
-    first = -room.ctypes.data % LINE // 8
+def _layout(value: Any) -> Layout:
+    """Of a number's kind; in Python all are doubles."""
+    return SINGLES_LAYOUT if isinstance(value, TracedNumber) and value.is_single else DOUBLES_LAYOUT
+
+
+def aligned(rows: int, columns: int = LANES, kind: type[np.floating[Any]] = np.float64) -> Any:
+    """Zeros, (rows, columns), of doubles or singles; the first lies at the start of a cache line."""
+    size = np.dtype(kind).itemsize
+    room = np.zeros(rows * columns + LINE // size, kind)
+    first = -room.ctypes.data % LINE // size
     return room[first : first + rows * columns].reshape(rows, columns)
 
 
@@ -236,8 +293,6 @@ LN_2_HIGH, LN_2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
 """ln 2 in two parts, the first with trailing zeros, so that whole multiples of it are exact."""
 PER_LN_2 = 1 / math.log(2)
 """Turns a natural logarithm into one of base 2."""
-LARGEST = 700.0
-"""Beyond this an exponential is 0 or infinite."""
 ROOT_2 = math.sqrt(2)
 """Mantissa above which a logarithm is taken of its half."""
 LOGARITHM_ORDER = 21
@@ -251,9 +306,16 @@ def _rest_of_exponential(y: Any) -> Any:
     return sum(y**n / math.factorial(n + 3) for n in range(20))
 
 
-_REST = np.polynomial.Chebyshev.interpolate(_rest_of_exponential, 8, [-_HALF_LN_2, _HALF_LN_2])
-REST_OF_EXPONENTIAL = tuple(_REST.convert(kind=np.polynomial.Polynomial).coef.tolist())
-"""Of (exp(y) - 1 - y - y^2/2) / y^3 within half ln 2, from its series at Chebyshev's points; leaves 3e-17 of exp(y)."""
+def _coefficients(degree: int) -> tuple[float, ...]:
+    """Of its interpolation at Chebyshev's points."""
+    rest = np.polynomial.Chebyshev.interpolate(_rest_of_exponential, degree, [-_HALF_LN_2, _HALF_LN_2])
+    return tuple(rest.convert(kind=np.polynomial.Polynomial).coef.tolist())
+
+
+DOUBLES_LAYOUT = Layout(52, 1023, 700.0, (LN_2_HIGH, LN_2_LOW), _coefficients(8))
+"""Leaves 3e-17 of an exponential."""
+SINGLES_LAYOUT = Layout(23, 127, 86.0, (0.693359375, math.log(2) - 0.693359375), _coefficients(3))
+"""Leaves 2e-8 of an exponential."""
 
 
 @formula
@@ -299,25 +361,26 @@ def arcsin(x: Any) -> Any:
 
 def _exponential(x: Any) -> Any:
     """2^k, and what exp(x) / 2^k is more than 1, with k the whole number nearest to x / ln 2."""
-    x = lowest(LARGEST, highest(-LARGEST, x))
+    layout = _layout(x)
+    x = lowest(layout.largest, highest(-layout.largest, x))
     k = nearest(x * PER_LN_2)
-    y = (x - k * LN_2_HIGH) - k * LN_2_LOW
-    series = y * REST_OF_EXPONENTIAL[-1] + REST_OF_EXPONENTIAL[-2]
-    for coefficient in (*REST_OF_EXPONENTIAL[-3::-1], 0.5, 1.0):
+    y = (x - k * layout.ln_2[0]) - k * layout.ln_2[1]
+    series = y * layout.rest[-1] + layout.rest[-2]
+    for coefficient in (*layout.rest[-3::-1], 0.5, 1.0):
         series = series * y + coefficient
     return two_to(k), series * y
 
 
 @formula
 def exp_minus_one(x: Any) -> Any:
-    """exp(x) - 1; x beyond +-700 is taken as that."""
+    """exp(x) - 1; x beyond +-700, of singles +-86, is taken as that."""
     power, rest = _exponential(x)
     return power * rest + (power - 1)
 
 
 @formula
 def exponential(x: Any) -> Any:
-    """exp(x); x beyond +-700 is taken as that."""
+    """exp(x); x beyond +-700, of singles +-86, is taken as that."""
     power, rest = _exponential(x)
     return power * rest + power
 

@@ -361,7 +361,7 @@ def hops_of(model: MgmModel) -> FloatArray:
     """
     m, count = model.degrees, len(model.assemblage.bands)
     deeper = [(m + 3 * band + 2, -HOP_SIGMAS) for band in range(count)]
-    aside = [(m + 3 * band, sign * HOP_SIGMAS) for band in range(count) for sign in (-1, 1)]
+    aside = [(m + 3 * band, far * HOP_SIGMAS) for band in range(count) for far in (-2, -1, 1, 2)]
     return np.array(deeper + aside, dtype=float)
 
 

@@ -26,19 +26,33 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import VECTORS, uncounted
-from lunarsci.compiled.lanes import aligned, choose, exponential, highest, load, logarithm, lowest, root, spread, store
+from lunarsci.compiled.lanes import (
+    aligned,
+    choose,
+    exponential,
+    filled,
+    highest,
+    is_above,
+    load,
+    logarithm,
+    lowest,
+    negligible,
+    root,
+    spread,
+    store,
+)
 
 TILE = 4
 """Rows and columns worked on together, so that each number read is used four times."""
-LEAST_PIVOT = 1e-300
+LEAST_PIVOT = 1e-30
 """Stands for a pivot that is not above 0, of which no root could be taken."""
 
 
-def padded_matrix(size: int) -> FloatArray:
+def padded_matrix(size: int, kind: type[np.floating[Any]] = np.float64) -> Any:
     """Workspace for the matrix of a system of so many unknowns, (rows columns, 8)."""
     rows = -(-size // TILE) * TILE
     side = rows + TILE
-    matrix = aligned(rows * side)
+    matrix = aligned(rows * side, kind=kind)
     for k in range(size, rows):
         matrix[k * side + k] = 1.0
     return matrix
@@ -112,7 +126,7 @@ def _tile(matrix: Any, side: int, k: int, j: int) -> None:
 @uncounted
 def factorise(matrix: Any, side: int) -> Any:
     """Factor in place; the least pivot, which is not above 0 where there is no factor."""
-    least = spread(1.0)
+    least = filled(matrix, 1.0)
     for block in range(0, side - TILE, TILE):
         for j in range(block, side, TILE):
             _tile(matrix, side, block, j)
@@ -149,13 +163,13 @@ def invert(matrix: Any, size: int, side: int, inverse: Any) -> None:
         diagonal = load(matrix, p * side + p)
         store(inverse, p * size + p, diagonal)
         for q in range(p + 1, size):
-            total = spread(0.0)
+            total = filled(matrix, 0.0)
             for k in range(p + 1, q + 1):
                 total += load(matrix, p * side + k) * load(inverse, k * size + q)
             store(inverse, p * size + q, total * diagonal * -1.0)
     for p in range(size):
         for q in range(p, size):
-            total = spread(0.0)
+            total = filled(matrix, 0.0)
             for k in range(q, size):
                 total += load(inverse, p * size + k) * load(inverse, q * size + k)
             store(inverse, p * size + q, total)
@@ -176,9 +190,9 @@ def prior_share(parameters: Any, prior: Any, precision: Any) -> float:
 @uncounted
 def prior_pull(point: Any, prior: Any, precision: Any, pull: Any) -> Any:
     """Fill `pull` with precision (p - prior); (p - prior)' precision (p - prior)."""
-    size, share = prior.size, spread(0.0)
+    size, share = prior.size, filled(point, 0.0)
     for p in range(size):
-        total = spread(0.0)
+        total = filled(point, 0.0)
         for q in range(size):
             if precision[p, q] != 0.0:
                 total += (load(point, q) - prior[q]) * precision[p, q]
@@ -210,12 +224,17 @@ def _right_side(
     """Half the descent of the objective, less what the steps of parameters that stop at a bound do to it."""
     size = free.shape[0]
     for p in range(size):
-        total = load(slope, p) * scale - load(pull, p)
-        for q in range(size * held_steps):
-            held = (spread(1.0) - load(free, q)) * load(step, q)
-            low, high = min(p, q), max(p, q)
-            total -= (load(curvature, low * size + high) * scale + precision[p, q]) * held
-        store(matrix, (p + 1) * side - TILE, choose(load(free, p), total, load(step, p)))
+        store(matrix, (p + 1) * side - TILE, load(slope, p) * scale - load(pull, p))
+    for q in range(size * held_steps):
+        held = (spread(1.0) - load(free, q)) * load(step, q)
+        if is_above(held * held, 0.0):
+            for p in range(size):
+                low, high, at = min(p, q), max(p, q), (p + 1) * side - TILE
+                moved = (load(curvature, low * size + high) * scale + precision[p, q]) * held
+                store(matrix, at, load(matrix, at) - moved)
+    for p in range(size):
+        at = (p + 1) * side - TILE
+        store(matrix, at, choose(load(free, p), load(matrix, at), load(step, p)))
 
 
 @uncounted
@@ -235,14 +254,14 @@ def solve_step(
 @uncounted
 def clip_to_bounds(point: Any, lower: Any, upper: Any, step: Any, free: Any) -> Any:
     """Stop at its bound each step that would cross it, and free its parameter no longer; above 0 where one did."""
-    crossed = spread(0.0)
+    crossed = filled(point, 0.0)
     for p in range(lower.size):
         wanted, here, is_free = load(step, p), load(point, p), load(free, p)
         allowed = lowest(highest(wanted, lower[p] - here), upper[p] - here)
         beyond = (allowed - wanted) * (allowed - wanted) * is_free
         store(step, p, choose(is_free, allowed, wanted))
         store(free, p, choose(beyond, spread(0.0), is_free))
-        crossed = highest(crossed, choose(beyond, spread(1.0), spread(0.0)))
+        crossed = highest(crossed, choose(beyond, filled(point, 1.0), filled(point, 0.0)))
     return crossed
 
 
@@ -254,7 +273,7 @@ def free_again(
     the objective does not fall."""
     for p in range(lower.size):
         here, gradient = load(point, p), load(slope, p) * scale - load(pull, p)
-        zero, one = spread(0.0), spread(1.0)
+        zero, one = filled(point, 0.0), filled(point, 1.0)
         if lower[p] == upper[p]:
             is_free = zero
         else:
@@ -268,7 +287,7 @@ def free_again(
 @uncounted
 def predicted_decrease(curvature: Any, precision: Any, scale: Any, slope: Any, pull: Any, step: Any) -> Any:
     """By how much the quadratic model of the objective falls along a step."""
-    size, decrease = step.shape[0], spread(0.0)
+    size, decrease = step.shape[0], filled(step, 0.0)
     for p in range(size):
         move = load(step, p)
         bend = (load(curvature, p * size + p) * scale + precision[p, p]) * move * 0.5
@@ -455,7 +474,7 @@ LEAST = 1e-9
 
 def rows_of_work(degrees: int, bands: int) -> int:
     """Of the workspace of `evaluate`."""
-    return (degrees + 1 + 3 * bands) * BLOCK
+    return (degrees + 1 + 3 * bands) * BLOCK + bands
 
 
 def rows_of_sums(degrees: int, bands: int) -> int:
@@ -469,9 +488,9 @@ def rows_of_sums(degrees: int, bands: int) -> int:
 def continuum_rows(channels: Any, first: int, point: Any, degrees: int, logarithmic: bool, work: Any) -> Any:
     """Derivatives by the continuum's coefficients and ln R - ln C of one block; the lowest value of C."""
     offsets, basis, data, roots = channels
-    count, least = offsets.shape[0], spread(1.0)
+    count, least = offsets.shape[0], filled(offsets, 1.0)
     for i in range(BLOCK):
-        level = spread(0.0)
+        level = filled(offsets, 0.0)
         for m in range(degrees):
             level += load(basis, m * count + first + i) * load(point, m)
         slope = load(roots, first + i)
@@ -492,21 +511,31 @@ def gaussian_rows(channels: Any, first: int, point: Any, degrees: int, work: Any
     """Weighted Gaussians times the powers 0, 1, 2 of wavelength, and the residual without the bands, of one block."""
     offsets, _, _, roots = channels
     at = degrees * BLOCK
-    row = at + BLOCK
+    row, far, nothing = at + BLOCK, at + BLOCK + (point.shape[0] - degrees) * BLOCK, negligible(work)
     for band in range(degrees, point.shape[0], 3):
         centre, inverse = load(point, band) - ORIGIN, FWHM_OVER_SIGMA / load(point, band + 1)
         strength = load(point, band + 2)
-        for i in range(BLOCK):
-            offset = load(offsets, first + i)
-            x = (offset - centre) * inverse
-            shape = exponential(x * x * -0.5)
-            store(work, at + i, load(work, at + i) - strength * shape)
-            shape = shape * load(roots, first + i)
-            store(work, row + i, shape)
-            shape = shape * offset
-            store(work, row + BLOCK + i, shape)
-            store(work, row + 2 * BLOCK + i, shape * offset)
+        beyond = (load(offsets, first) - centre) * inverse
+        before = (centre - load(offsets, first + BLOCK - 1)) * inverse
+        apart = highest(highest(beyond, before), spread(0.0))
+        inside = nothing - apart * apart * 0.5
+        store(work, far, inside)
+        if is_above(inside, 0.0):
+            for i in range(BLOCK):
+                offset = load(offsets, first + i) - centre
+                x = offset * inverse
+                shape = choose(inside, exponential(x * x * -0.5), spread(0.0))
+                store(work, at + i, load(work, at + i) - strength * shape)
+                shape = shape * load(roots, first + i)
+                store(work, row + i, shape)
+                shape = shape * offset
+                store(work, row + BLOCK + i, shape)
+                store(work, row + 2 * BLOCK + i, shape * offset)
+        else:
+            for i in range(3 * BLOCK):
+                store(work, row + i, spread(0.0))
         row += 3 * BLOCK
+        far += 1
     for i in range(BLOCK):
         store(work, at + i, load(work, at + i) * load(roots, first + i))
 
@@ -515,6 +544,7 @@ def gaussian_rows(channels: Any, first: int, point: Any, degrees: int, work: Any
 def _add_plain(work: Any, degrees: int, bands: int, sums: Any) -> None:
     """Sums of the continuum's rows and the residual among themselves and with every band."""
     plain, target = degrees + 1, 0
+    far = (plain + 3 * bands) * BLOCK
     for c in range(plain):
         for d in range(plain):
             total = load(sums, target)
@@ -522,9 +552,12 @@ def _add_plain(work: Any, degrees: int, bands: int, sums: Any) -> None:
                 total += load(work, c * BLOCK + i) * load(work, d * BLOCK + i)
             store(sums, target, total)
             target += 1
-    for c in range(plain):
-        for band in range(bands):
-            row = (plain + 3 * band) * BLOCK
+    for band in range(bands):
+        if not is_above(load(work, far + band), 0.0):
+            continue
+        row = (plain + 3 * band) * BLOCK
+        for c in range(plain):
+            target = plain * plain + 3 * (c * bands + band)
             s0, s1, s2 = load(sums, target), load(sums, target + 1), load(sums, target + 2)
             for i in range(BLOCK):
                 row_value = load(work, c * BLOCK + i)
@@ -534,32 +567,41 @@ def _add_plain(work: Any, degrees: int, bands: int, sums: Any) -> None:
             store(sums, target, s0)
             store(sums, target + 1, s1)
             store(sums, target + 2, s2)
-            target += 3
 
 
 @uncounted
 def _add_bands(work: Any, degrees: int, bands: int, sums: Any) -> None:
     """Moments 0 to 4 of the product of every two bands."""
     begin, start = (degrees + 1) * BLOCK, (degrees + 1) * (degrees + 1 + 3 * bands)
+    far, nothing = begin + 3 * bands * BLOCK, negligible(work)
     for a in range(bands):
-        p = begin + 3 * a * BLOCK
+        p, inside_a = begin + 3 * a * BLOCK, load(work, far + a) - nothing
         for b in range(a, bands):
+            inside = inside_a + load(work, far + b)
+            if not is_above(inside, 0.0):
+                continue
             q, target = begin + 3 * b * BLOCK, start + MOMENTS * (a * bands + b)
-            s0, s1, s2 = load(sums, target), load(sums, target + 1), load(sums, target + 2)
-            s3, s4 = load(sums, target + 3), load(sums, target + 4)
+            s0, s1, s2 = filled(work, 0.0), filled(work, 0.0), filled(work, 0.0)
+            s3, s4 = filled(work, 0.0), filled(work, 0.0)
             for i in range(BLOCK):
                 p0, p1, p2 = load(work, p + i), load(work, p + BLOCK + i), load(work, p + 2 * BLOCK + i)
                 q0, q1, q2 = load(work, q + i), load(work, q + BLOCK + i), load(work, q + 2 * BLOCK + i)
                 s0 += p0 * q0
-                s1 += p0 * q1
-                s2 += p1 * q1
-                s3 += p1 * q2
+                s1 += p1 * q0
+                s2 += p2 * q0
+                s3 += p2 * q1
                 s4 += p2 * q2
-            store(sums, target, s0)
-            store(sums, target + 1, s1)
-            store(sums, target + 2, s2)
-            store(sums, target + 3, s3)
-            store(sums, target + 4, s4)
+            _add(sums, target, inside, s0)
+            _add(sums, target + 1, inside, s1)
+            _add(sums, target + 2, inside, s2)
+            _add(sums, target + 3, inside, s3)
+            _add(sums, target + 4, inside, s4)
+
+
+@uncounted(forceinline=True)  # type: ignore[untyped-decorator]
+def _add(sums: Any, row: int, inside: Any, value: Any) -> None:
+    """Add to a row in the lanes where `inside` is above 0."""
+    store(sums, row, load(sums, row) + choose(inside, value, spread(0.0)))
 
 
 @uncounted
@@ -571,7 +613,7 @@ def evaluate(
     `channels` are wavelength from `ORIGIN`, basis, ln R and the root of the weight, each (n, 8), the basis (m n, 8).
     `residuals` (n, 8) become data - model, times the root of the weight.
     """
-    bands, least = (point.shape[0] - degrees) // 3, spread(1.0)
+    bands, least = (point.shape[0] - degrees) // 3, filled(point, 1.0)
     last = sums.shape[0] - 1
     for row in range(last):
         store(sums, row, spread(0.0))
@@ -594,37 +636,33 @@ def _keep(target: Any, row: int, taken: Any, value: Any) -> None:
 
 @uncounted(forceinline=True)  # type: ignore[untyped-decorator]
 def _shape(point: Any, band: int) -> Any:
-    """Centre less `ORIGIN`, by_centre and by_width of a band. Its derivatives are g, by strength; by_centre
-    (t - centre) g; and by_width (t - centre)^2 g, with g its Gaussian and t the wavelength less `ORIGIN`."""
-    centre, inverse = load(point, band) - ORIGIN, FWHM_OVER_SIGMA / load(point, band + 1)
+    """Centre, by_centre and by_width of a band, whose derivatives are g, by strength; u g by_centre; u^2 g by_width,
+    with g its Gaussian and u the wavelength less the centre."""
+    centre, inverse = load(point, band), FWHM_OVER_SIGMA / load(point, band + 1)
     by_centre = load(point, band + 2) * inverse * inverse
     return centre, by_centre, by_centre / load(point, band + 1)
 
 
 @uncounted(forceinline=True)  # type: ignore[untyped-decorator]
 def _keep_band(target: Any, row: int, stride: int, taken: Any, shape: Any, s0: Any, s1: Any, s2: Any) -> None:
-    """Sums of something with g, t g, t^2 g become those with a band's derivatives by centre, width and strength."""
-    centre, by_centre, by_width = shape
-    _keep(target, row, taken, (s1 - s0 * centre) * by_centre)
-    _keep(target, row + stride, taken, (s2 - (s1 * 2.0 - s0 * centre) * centre) * by_width)
+    """Sums of something with g, u g, u^2 g become those with a band's derivatives by centre, width and strength."""
+    _, by_centre, by_width = shape
+    _keep(target, row, taken, s1 * by_centre)
+    _keep(target, row + stride, taken, s2 * by_width)
     _keep(target, row + 2 * stride, taken, s0)
 
 
 @uncounted(forceinline=True)  # type: ignore[untyped-decorator]
 def _between_bands(sums: Any, row: int, first: Any, second: Any, target: Any, at: int, side: int, taken: Any) -> None:
-    """The nine products of the derivatives of two bands."""
+    """The nine products of the derivatives of two bands, a and b; u_b = u_a + d gives the four that are not summed."""
     s0, s1, s2 = load(sums, row), load(sums, row + 1), load(sums, row + 2)
     s3, s4 = load(sums, row + 3), load(sums, row + 4)
     centre, by_centre, by_width = first
-    _keep_band(
-        target, at, 1, taken, second, (s1 - s0 * centre) * by_centre, (s2 - s1 * centre) * by_centre,
-        (s3 - s2 * centre) * by_centre,
-    )  # fmt: skip
-    _keep_band(
-        target, at + side, 1, taken, second, (s2 - (s1 * 2.0 - s0 * centre) * centre) * by_width,
-        (s3 - (s2 * 2.0 - s1 * centre) * centre) * by_width, (s4 - (s3 * 2.0 - s2 * centre) * centre) * by_width,
-    )  # fmt: skip
-    _keep_band(target, at + 2 * side, 1, taken, second, s0, s1, s2)
+    d = centre - second[0]
+    b, ab = s1 + d * s0, s2 + d * s1
+    _keep_band(target, at, 1, taken, second, s1 * by_centre, ab * by_centre, (s3 + d * ab) * by_centre)
+    _keep_band(target, at + side, 1, taken, second, s2 * by_width, s3 * by_width, s4 * by_width)
+    _keep_band(target, at + 2 * side, 1, taken, second, s0, b, ab + d * b)
 
 
 @uncounted

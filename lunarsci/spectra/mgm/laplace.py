@@ -13,18 +13,15 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import uncounted
 from lunarsci.compiled.formulas import LANES
-from lunarsci.compiled.lanes import aligned, choose, highest, load, lowest, root, spread, store
+from lunarsci.compiled.lanes import aligned, choose, highest, load, root, spread, store
 from lunarsci.spectra.mgm.forward import (
-    BLOCK,
-    FWHM_OVER_SIGMA,
-    ORIGIN,
-    continuum_rows,
     damped,
+    evaluate,
     factorise,
-    gaussian_rows,
     invert,
     matrix_side,
     prior_pull,
+    update,
 )
 from lunarsci.spectra.mgm.levenberg_marquardt import Channels, FitProblem, fill_lane, workspace_for
 
@@ -101,59 +98,12 @@ def _describe(spectra: Any, problem: Any, points: Any, chi2: Any, space: Any, ro
 
 @uncounted
 def _linearise(problem: Any, space: Any) -> Any:
-    """Residuals, J r and the upper triangle of J J' at the workspace's points; the lowest value of the continuum.
-
-    The derivatives themselves are summed: moments, which are enough to descend by, cost an error its last digits.
-    """
-    size, degrees, least = space.point.shape[0], problem.degrees, spread(1.0)
+    """Residuals, J r and the upper triangle of J J' at the workspace's points; the lowest value of the continuum."""
     channels = (space.offsets, space.basis, space.data, space.roots)
-    for p in range(size):
-        store(space.slope, p, spread(0.0))
-        for q in range(p, size):
-            store(space.curvature, p * size + q, spread(0.0))
-    for first in range(0, space.offsets.shape[0], BLOCK):
-        least = lowest(least, continuum_rows(channels, first, space.point, degrees, problem.logarithmic, space.work))
-        gaussian_rows(channels, first, space.point, degrees, space.work)
-        _derivatives(space, first, degrees)
-        _add_products(space, degrees)
-        for i in range(BLOCK):
-            store(space.residuals, first + i, load(space.work, degrees * BLOCK + i))
-    return least
-
-
-@uncounted
-def _derivatives(space: Any, first: int, degrees: int) -> None:
-    """Turn a band's Gaussians times powers of wavelength into its derivatives by centre, width and strength."""
-    row = (degrees + 1) * BLOCK
-    for band in range(degrees, space.point.shape[0], 3):
-        centre, width = load(space.point, band) - ORIGIN, load(space.point, band + 1)
-        inverse = FWHM_OVER_SIGMA / width
-        by_centre = load(space.point, band + 2) * inverse * inverse
-        for i in range(BLOCK):
-            shape, apart = load(space.work, row + i), load(space.offsets, first + i) - centre
-            slope = shape * apart * by_centre
-            store(space.work, row + i, slope)
-            store(space.work, row + BLOCK + i, slope * apart / width)
-            store(space.work, row + 2 * BLOCK + i, shape)
-        row += 3 * BLOCK
-
-
-@uncounted
-def _add_products(space: Any, degrees: int) -> None:
-    """Add the products of all derivatives, and with the residual, of one block."""
-    size, work = space.point.shape[0], space.work
-    for p in range(size):
-        at = (p + (p >= degrees)) * BLOCK
-        total = load(space.slope, p)
-        for i in range(BLOCK):
-            total += load(work, at + i) * load(work, degrees * BLOCK + i)
-        store(space.slope, p, total)
-        for q in range(p, size):
-            other = (q + (q >= degrees)) * BLOCK
-            total = load(space.curvature, p * size + q)
-            for i in range(BLOCK):
-                total += load(work, at + i) * load(work, other + i)
-            store(space.curvature, p * size + q, total)
+    degrees, logarithmic = problem.degrees, problem.logarithmic
+    evaluate(channels, space.point, degrees, logarithmic, 1, space.work, space.residuals, space.sums)
+    update(space.sums, space.point, degrees, spread(1.0), space.curvature, space.slope)
+    return load(space.sums, space.sums.shape[0] - 1)
 
 
 @uncounted

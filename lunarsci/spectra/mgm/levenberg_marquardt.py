@@ -18,7 +18,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray, IndexArray
 from lunarsci.compiled import uncounted
 from lunarsci.compiled.formulas import LANES
-from lunarsci.compiled.lanes import aligned, choose, load, spread, store
+from lunarsci.compiled.lanes import aligned, choose, filled, load, spread, store
 from lunarsci.spectra.mgm.forward import (
     BLOCK,
     ORIGIN,
@@ -45,6 +45,8 @@ BELIEF = 1.3
 """Times what a step promises is what a descent may still gain; where that stays above its bar it is given up."""
 LEAST_DAMPING, MOST_DAMPING = 1e-9, 1e12
 """Range of Marquardt's damping; a descent that reaches the upper end is over."""
+SINGLE_DAMPING = 1e-5
+"""Lower end for a descent in singles, whose rounding a system of equations multiplies by less than this."""
 GENTLE_DAMPING = 1e-2
 """Below this a step that promises nothing means that there is nothing to gain."""
 
@@ -85,6 +87,11 @@ class FitProblem(NamedTuple):
     lower: Any
     upper: Any
 
+    def in_singles(self) -> "FitProblem":
+        """The same, for a workspace of singles."""
+        numbers = ("prior", "precision", "lower", "upper")
+        return self._replace(**{name: getattr(self, name).astype(np.float32) for name in numbers})
+
 
 class DescentOptions(NamedTuple):
     """How to descend.
@@ -105,6 +112,7 @@ class DescentOptions(NamedTuple):
     max_iterations: int
     ahead: bool = False
     slack: float = math.inf
+    least_damping: float = LEAST_DAMPING
 
 
 class Channels(NamedTuple):
@@ -197,14 +205,15 @@ class Workspace(NamedTuple):
     state: Any
 
 
-def workspace_for(size: int, degrees: int, channels: int) -> Workspace:
-    """Workspace for fits of `size` parameters to so many channels."""
+def workspace_for(size: int, degrees: int, channels: int, kind: type[np.floating[Any]] = np.float64) -> Workspace:
+    """Workspace for fits of `size` parameters to so many channels, in doubles or singles."""
     count, bands = -(-channels // BLOCK) * BLOCK, (size - degrees) // 3
     rows = (
         count, degrees * count, count, count, rows_of_work(degrees, bands), rows_of_sums(degrees, bands), size * size,
         1, size, size, size, size, size, size, size, count, count, CROSSED + 1,
     )  # fmt: skip
-    return Workspace(*(aligned(number) for number in rows))._replace(matrix=padded_matrix(size))
+    space = Workspace(*(aligned(number, kind=kind) for number in rows))
+    return space._replace(matrix=padded_matrix(size, kind))
 
 
 @uncounted
@@ -268,7 +277,7 @@ def _damp_more(state: Any, lane: int) -> None:
 
 
 @uncounted
-def _judge(state: Any, lane: int, chi2: float, phase: Any, tolerance: float) -> int:
+def _judge(state: Any, lane: int, chi2: float, phase: Any, tolerance: float, least: float) -> int:
     """Take a trial of this chi-square or refuse it, and change the damping accordingly; a status, or `GOES_ON`."""
     share = state[TRIAL_SHARE, lane]
     if phase[lane] == NEW:
@@ -285,7 +294,7 @@ def _judge(state: Any, lane: int, chi2: float, phase: Any, tolerance: float) -> 
             _damp_more(state, lane)
             return GOES_ON
         shrink = max(0.1, 1.0 - (2.0 * gain / predicted - 1.0) ** 3)
-        state[DAMPING, lane] = max(state[DAMPING, lane] * shrink, LEAST_DAMPING)
+        state[DAMPING, lane] = max(state[DAMPING, lane] * shrink, least)
         state[INCREASE, lane] = 4.0
     state[TAKEN, lane], state[CHI2, lane], state[SHARE, lane] = 1.0, chi2, share
     return GOES_ON
@@ -301,7 +310,7 @@ def _judge_all(counts: Any, rows: Any, options: Any, degrees: int, space: Any, j
         if jobs.phase[lane] == EMPTY:
             continue
         chi2 = sums[at_chi2, lane] if sums[last, lane] > 0.0 else math.inf
-        jobs.end[lane] = _judge(state, lane, chi2, jobs.phase, options.tolerance)
+        jobs.end[lane] = _judge(state, lane, chi2, jobs.phase, options.tolerance, options.least_damping)
         if state[TAKEN, lane] > 0.0:
             channels = counts[rows[jobs.job[lane]]]
             state[SCALE, lane] = channels / chi2 if jobs.tempered[lane] and chi2 > channels else 1.0
@@ -513,7 +522,7 @@ def _shift_to_means(fine: Any, coarse: Any, together: int) -> None:
     """Shift the coarse data of two workspaces so that the coarse residuals are the means of the fine ones."""
     count = fine.residuals.shape[0]
     for cell in range(-(-count // together)):
-        total = spread(0.0)
+        total = filled(fine.residuals, 0.0)
         for i in range(cell * together, min((cell + 1) * together, count)):
             total += load(fine.roots, i) * load(fine.residuals, i)
         root = load(coarse.roots, cell)
@@ -526,7 +535,7 @@ def _shift_to_means(fine: Any, coarse: Any, together: int) -> None:
 def _shift_slope(fine: Any, coarse: Any, problem: Any) -> None:
     """Shift the coarse data of two workspaces by what the model changes along the step by which their slopes differ."""
     size = coarse.point.shape[0]
-    one, none = spread(1.0), spread(0.0)
+    one, none = filled(coarse.point, 1.0), filled(coarse.point, 0.0)
     for p in range(size):
         store(coarse.slope, p, load(fine.slope, p) - load(coarse.slope, p))
         store(coarse.pull, p, none)
@@ -547,9 +556,7 @@ def _shift_slope(fine: Any, coarse: Any, problem: Any) -> None:
 
 
 @uncounted
-def correct(
-    fine: Any, coarse: Any, together: int, problem: Any, points: Any, fine_space: Any, coarse_space: Any
-) -> None:
+def correct(fine: Any, coarse: Any, together: int, problem: Any, coarse_problem: Any, points: Any, spaces: Any) -> None:
     """Shift the coarse data so that at the points, (rows, p), coarse residuals are the means of the fine ones and the
     slope of the coarse objective is that of the fine one.
 
@@ -557,7 +564,7 @@ def correct(
     same. The correction of full approximation storage: Brandt (1977), Math. Comp. 31, 333,
     10.1090/S0025-5718-1977-0431719-X; here it is put on the data, which keeps the objective a sum of squares.
     """
-    rows = points.shape[0]
+    rows, (fine_space, coarse_space) = points.shape[0], spaces
     for first in range(0, rows, LANES):
         for lane in range(LANES):
             row = min(first + lane, rows - 1)
@@ -568,10 +575,10 @@ def correct(
                 coarse_space.trial[p, lane] = points[row, p]
                 coarse_space.point[p, lane] = points[row, p]
         _slope(fine_space, problem, 0)
-        _slope(coarse_space, problem, 0)
+        _slope(coarse_space, coarse_problem, 0)
         _shift_to_means(fine_space, coarse_space, together)
-        _slope(coarse_space, problem, 1)
-        _shift_slope(fine_space, coarse_space, problem)
+        _slope(coarse_space, coarse_problem, 1)
+        _shift_slope(fine_space, coarse_space, coarse_problem)
         for lane in range(min(LANES, rows - first)):
             for cell in range(coarse.data.shape[1]):
                 coarse.data[first + lane, cell] = coarse_space.data[cell, lane]
@@ -607,8 +614,9 @@ def inverses(curvatures: FloatArray, problem: FitProblem, space: Workspace) -> F
     return covariances
 
 
-COARSE_TOLERANCE, HOP_TOLERANCE = 1.0, 0.3
-"""Decrease to be expected, in chi-square, at which a descent on the coarse spectrum ends: of starts, of hops."""
+COARSE_TOLERANCE, HOP_TOLERANCE, NEAR_TOLERANCE = 1.0, 0.3, 0.01
+"""Decrease to be expected, in chi-square, at which a descent on the coarse spectrum ends: of starts, hops, and of what
+they found."""
 SAME_BASIN = 1.5
 """In one parabolic basin the square of the distance, in standard deviations, is at most the rise of the objective; a
 point that is not farther than this factor allows is on its way back."""
@@ -622,6 +630,9 @@ SIGNIFICANT = 2.0
 """Standard errors from which a difference counts, and a band: the level of 95 % of all tests of this model."""
 COMPETING_CHI2 = SIGNIFICANT**2 + COARSE_TOLERANCE
 """A minimum higher by this or more on the coarse spectrum is no competitor of the best."""
+MISFIT = 0.2
+"""Chi-square a channel above which a spectrum's misfit is no noise, and minima are many; of 88 spectra of a rover all
+lie above it, of 1600 synthetic ones 8 %; assumed."""
 SAME_SIGMAS = 0.5
 """Minima within this of each other, in posterior standard deviations, are one; assumed."""
 
@@ -632,7 +643,9 @@ class Multistart:
     Attributes
     ----------
     fine, coarse : the spectra on all channels, and with `together` of these as one, corrected at the minima found.
-    counts, spaces : of both, number of channels with weight, (n,), and a workspace.
+    counts : of both, number of channels with weight, (n,).
+    fine_space, coarse_space : a workspace of doubles, and one of singles for the coarse spectra.
+    coarse_problem : the problem in singles.
     floor : (n,) objective of the best minimum on the coarse spectrum, with which others are compared.
     best, covariance, outcome : (n, p), (n, p, p) and (n, 4): chi-square, objective, iterations, status.
     competing, competing_sigmas : (n,) how much higher the next minimum is, and how far it lies.
@@ -646,9 +659,9 @@ class Multistart:
         self.fine = fine
         self.coarse = coarsened(fine, self.together)
         self.counts = [np.count_nonzero(spectra.root_weight, axis=1).astype(float) for spectra in (fine, self.coarse)]
-        self.spaces = tuple(
-            workspace_for(size, problem.degrees, spectra.data.shape[1]) for spectra in (fine, self.coarse)
-        )
+        self.fine_space = workspace_for(size, problem.degrees, channels)
+        self.coarse_space = workspace_for(size, problem.degrees, self.coarse.data.shape[1], np.float32)
+        self.coarse_problem = problem.in_singles()
         self.best, self.outcome = np.empty((rows, size)), np.tile([np.nan, np.inf, 0.0, NOT_FINITE], (rows, 1))
         self.covariance = np.full((rows, size, size), np.nan)
         self.floor = np.full(rows, np.inf)
@@ -670,17 +683,29 @@ class Multistart:
         self._challenge(every[others], points[others])
 
     def hop(self, hops: FloatArray) -> None:
-        """Descend from every hop, (h, 2), away from the best; again from a better one where that finds it."""
+        """Descend from hops, (h, 2), away from the best; again from a better one where that finds it.
+
+        Where the fit is within the noise those of a strength go first, which find nearly all, and the others only
+        where there is another minimum near the best.
+        """
+        deeper = (hops[:, 0] - self.problem.degrees) % 3 == 2
         rows = np.flatnonzero(np.isfinite(self.covariance[:, 0, 0]) & np.isfinite(self.floor))
         for _ in range(MAX_ROUNDS):
-            if not (len(hops) and rows.size):
-                return
-            every, points = self._displaced(rows, hops)
-            points, outcomes = self._explore(every, points, HOP_TOLERANCE)
-            higher, apart = outcomes[:, 1] - self.floor[every], self._apart(every, points)
-            back = apart**2 < SAME_BASIN * (np.maximum(higher, 0.0) + HOP_TOLERANCE)
-            keep = (higher < COMPETING_CHI2 + COARSE_TOLERANCE) & ~back
-            rows = self._challenge(every[keep], points[keep])
+            misfits = self.outcome[rows, 0] > MISFIT * self.counts[0][rows]
+            better = np.union1d(self._hopped(rows[misfits], hops), self._hopped(rows[~misfits], hops[deeper]))
+            near = rows[~misfits & np.isfinite(self.competing[rows])]
+            rows = np.union1d(better, self._hopped(near, hops[~deeper]))
+
+    def _hopped(self, rows: IndexArray, hops: FloatArray) -> IndexArray:
+        """Descend from hops away from the best of some rows; the rows in which that finds a better one."""
+        if not (len(hops) and rows.size):
+            return rows[:0]
+        every, points = self._displaced(rows, hops)
+        points, outcomes = self._explore(every, points, HOP_TOLERANCE)
+        higher, apart = outcomes[:, 1] - self.floor[every], self._apart(every, points)
+        back = apart**2 < SAME_BASIN * (np.maximum(higher, 0.0) + HOP_TOLERANCE)
+        keep = (higher < COMPETING_CHI2 + COARSE_TOLERANCE) & ~back
+        return self._challenge(every[keep], points[keep])
 
     def _displaced(self, rows: IndexArray, hops: FloatArray) -> tuple[IndexArray, FloatArray]:
         """Rows and points of all hops, the other parameters following their correlation."""
@@ -702,36 +727,26 @@ class Multistart:
     def _explore(
         self, rows: IndexArray, points: FloatArray, tolerance: float, tempering: bool = True
     ) -> tuple[FloatArray, FloatArray]:
-        """Where points lead to on the coarse spectrum, and the outcomes."""
+        """Where points lead to on the coarse spectrum, in singles, and the outcomes."""
         damping = FIRST_DAMPING if tempering else LATER_DAMPING
-        options = DescentOptions(tempering, damping, tolerance, self.max_iterations)
-        return self._descended(1, options, rows, points, np.empty((0, 1, 1)))
+        options = DescentOptions(tempering, damping, tolerance, self.max_iterations, least_damping=SINGLE_DAMPING)
+        ends, outcomes = np.array(points), np.empty((len(rows), 4))
+        descend(
+            self.coarse, self.counts[1], self.coarse_problem, options, rows, ends, outcomes, self.coarse_space,
+            np.empty((0, 1, 1)), np.empty(0),
+        )  # fmt: skip
+        return ends, outcomes
 
     def _finish(self, rows: IndexArray, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Where points lead to on all channels, the outcomes and the covariances."""
         curvatures = np.empty((len(rows), points.shape[1], points.shape[1]))
         options = DescentOptions(False, LATER_DAMPING, self.tolerance, self.max_iterations)
-        ends, outcomes = self._descended(0, options, rows, points, curvatures)
-        return ends, outcomes, inverses(curvatures, self.problem, self.spaces[0])
-
-    def _descended(
-        self, k: int, options: DescentOptions, rows: IndexArray, points: FloatArray, curvatures: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Where points lead to on the spectra of number k, fine or coarse, and the outcomes."""
-        ends, outcomes, spectra = np.array(points), np.empty((len(rows), 4)), (self.fine, self.coarse)[k]
+        ends, outcomes = np.array(points), np.empty((len(rows), 4))
         descend(
-            spectra,
-            self.counts[k],
-            self.problem,
-            options,
-            rows,
-            ends,
-            outcomes,
-            self.spaces[k],
-            curvatures,
+            self.fine, self.counts[0], self.problem, options, rows, ends, outcomes, self.fine_space, curvatures,
             np.empty(0),
-        )
-        return ends, outcomes
+        )  # fmt: skip
+        return ends, outcomes, inverses(curvatures, self.problem, self.fine_space)
 
     def _settle(self, rows: IndexArray) -> None:
         """Finish the lowest coarse minima, the coarse data corrected there."""
@@ -739,8 +754,9 @@ class Multistart:
             return
         points = self.best[rows]
         if self.together > 1:
-            correct(self.fine, self.coarse, self.together, self.problem, self.best, *self.spaces)
-        points, outcomes = self._explore(rows, points, self.tolerance, tempering=False)
+            spaces = self.fine_space, self.coarse_space
+            correct(self.fine, self.coarse, self.together, self.problem, self.coarse_problem, self.best, spaces)
+        points, outcomes = self._explore(rows, points, NEAR_TOLERANCE, tempering=False)
         self.floor[rows] = outcomes[:, 1]
         self.best[rows], self.outcome[rows], self.covariance[rows] = self._finish(rows, points)
 
@@ -748,7 +764,7 @@ class Multistart:
         """Let minima of the coarse spectrum contend with the best; the rows in which one took the place."""
         if not rows.size:
             return rows
-        points, outcomes = self._explore(rows, points, self.tolerance, tempering=False)
+        points, outcomes = self._explore(rows, points, NEAR_TOLERANCE, tempering=False)
         higher, apart = outcomes[:, 1] - self.floor[rows], self._apart(rows, points)
         keep = (higher < COMPETING_CHI2) & (apart > SAME_SIGMAS)
         rows, points, higher, apart = rows[keep], points[keep], higher[keep], apart[keep]

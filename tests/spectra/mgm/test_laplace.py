@@ -122,7 +122,7 @@ def test_errors_are_widened_by_chi_square_over_its_degrees_of_freedom(scatter: f
     assert fit.reduced_chi2 == pytest.approx(reduced, rel=1e-4)
     free = np.array([0, 1, 2, *range(5, model.prior.size, 3)])
     assert (fit.parameters[free[3:]] < 0).all(), "no strength is on its bound"
-    wanted = np.linalg.inv(design @ design.T / max(reduced, 1.0) + prior)
+    wanted = np.linalg.inv(design @ design.T / max(fit.reduced_chi2, 1.0) + prior)
     assert np.allclose(fit.covariance[np.ix_(free, free)], wanted, rtol=1e-6, atol=1e-6 * wanted.max())
 
 
