@@ -21,6 +21,7 @@ from lunarsci.compiled.formulas import LANES
 from lunarsci.compiled.lanes import aligned, choose, filled, load, spread, store
 from lunarsci.spectra.mgm.forward import (
     BLOCK,
+    FWHM_OVER_SIGMA,
     ORIGIN,
     clip_to_bounds,
     damped,
@@ -630,9 +631,9 @@ SIGNIFICANT = 2.0
 """Standard errors from which a difference counts, and a band: the level of 95 % of all tests of this model."""
 COMPETING_CHI2 = SIGNIFICANT**2 + COARSE_TOLERANCE
 """A minimum higher by this or more on the coarse spectrum is no competitor of the best."""
-MISFIT = 0.2
-"""Chi-square a channel above which a spectrum's misfit is no noise, and minima are many; of 88 spectra of a rover all
-lie above it, of 1600 synthetic ones 8 %; assumed."""
+PATTERN_CHI2 = 4 * COMPETING_CHI2
+"""Chi-square that neighbouring channels have in common (`Multistart._patterned`) above which the misfit is no noise and
+minima are many. Of 88 spectra of a rover three in four lie above it, of 1600 synthetic ones none."""
 SAME_SIGMAS = 0.5
 """Minima within this of each other, in posterior standard deviations, are one; assumed."""
 
@@ -691,10 +692,23 @@ class Multistart:
         deeper = (hops[:, 0] - self.problem.degrees) % 3 == 2
         rows = np.flatnonzero(np.isfinite(self.covariance[:, 0, 0]) & np.isfinite(self.floor))
         for _ in range(MAX_ROUNDS):
-            misfits = self.outcome[rows, 0] > MISFIT * self.counts[0][rows]
-            better = np.union1d(self._hopped(rows[misfits], hops), self._hopped(rows[~misfits], hops[deeper]))
-            near = rows[~misfits & np.isfinite(self.competing[rows])]
+            patterned = self._patterned(rows) > PATTERN_CHI2
+            better = np.union1d(self._hopped(rows[patterned], hops), self._hopped(rows[~patterned], hops[deeper]))
+            near = rows[~patterned & np.isfinite(self.competing[rows])]
             rows = np.union1d(better, self._hopped(near, hops[~deeper]))
+
+    def _patterned(self, rows: IndexArray) -> FloatArray:
+        """Chi-square of the best that neighbouring coarse channels have in common, (n,): near 0 where it is noise."""
+        spectra, m = self.coarse.part(rows), self.problem.degrees
+        bands = self.best[rows, m:].reshape(rows.size, (self.best.shape[1] - m) // 3, 3, 1)
+        x = (spectra.wavelength[:, None] - bands[:, :, 0]) * FWHM_OVER_SIGMA / bands[:, :, 1]
+        level = np.einsum(
+            "rm,rmn->rn", self.best[rows, :m], np.broadcast_to(spectra.basis, (rows.size, *spectra.basis.shape[1:]))
+        )
+        model = level if self.problem.logarithmic else np.log(level)
+        model += (np.exp(x * x * -0.5) * bands[:, :, 2]).sum(axis=1)
+        residuals = (spectra.data - model) * spectra.root_weight
+        return np.asarray((residuals[:, 1:] * residuals[:, :-1]).sum(axis=1))
 
     def _hopped(self, rows: IndexArray, hops: FloatArray) -> IndexArray:
         """Descend from hops away from the best of some rows; the rows in which that finds a better one."""
