@@ -35,6 +35,7 @@ from lunarsci.spectra.mgm.levenberg_marquardt import (
     CONVERGED,
     FIRST_DAMPING,
     LATER_DAMPING,
+    SINGLE_DAMPING,
     Channels,
     DescentOptions,
     FitProblem,
@@ -209,6 +210,8 @@ NEARLY, FINALLY = 1e-2, 3e-4
 """Decrease to be expected at which a descent on the bands of a kind ends, and one on all bands; that step is taken."""
 SLACK = 5.0
 """How much more than its step promises a descent may still gain, in chi-square."""
+ROUGHLY = DescentOptions(False, FIRST_DAMPING, NEARLY, MAX_ITERATIONS, ahead=True, least_damping=SINGLE_DAMPING)
+"""How to descend in singles, before a minimum is finished in doubles."""
 WORTH = 0.01
 """By how much another minimum must be lower to be taken, in chi-square: that of a tenth of a standard error;
 assumed."""
@@ -364,7 +367,7 @@ class Search:
     ----------
     spectra : of n pixels, as the kernel takes them; `counts`, (n,), of channels with weight.
     tile, place, grid, summary : as in `askers`.
-    spaces, parts : workspaces by number of parameters, and models by kind.
+    spaces, parts : workspaces by number of parameters and kind of numbers, and models by kind.
     points, outcomes : (n, p), and (n, 4) chi-square, objective, iterations and status.
     competing, competing_sigmas : (n,) as in `KernelFits`.
     origin, changed : (n,) as in `RegionFits`; whether a pixel changed in the last round.
@@ -379,7 +382,7 @@ class Search:
         self.grid[tile, place[:, 0], place[:, 1]] = np.arange(len(tile))
         rows, size = len(tile), model.prior.size
         self.counts = np.count_nonzero(spectra.root_weight, axis=1).astype(float)
-        self.spaces: dict[int, Workspace] = {}
+        self.spaces: dict[tuple[int, Any], Workspace] = {}
         self.parts: dict[int, PartModel] = {}
         self.points, self.outcomes = np.zeros((rows, size)), np.full((rows, 4), np.inf)
         self.competing, self.competing_sigmas = np.full(rows, np.inf), np.zeros(rows)
@@ -397,7 +400,7 @@ class Search:
             rows = self._lattice(max(1, step), active)
             rows = rows[~solved[rows]]
             starts = self.points[self._likest(rows, np.flatnonzero(solved))]
-            self._take(rows, *self._on_all_bands(rows, starts, FIRST_DAMPING))
+            self._take(rows, *self._on_all_bands(rows, self._roughly(rows, starts)))
         active &= self._exchange() > RESTLESS
         while active.any() and every > DENSEST:
             every //= 2
@@ -454,7 +457,7 @@ class Search:
             points, outcomes = self._on_their_bands(rows, self.points[lenders], self.outcomes[rows, 1] - WORTH)
             lower = (outcomes[:, 3] == CONVERGED) & (outcomes[:, 1] < self.outcomes[rows, 1] - WORTH)
             rows = rows[lower]
-            won = self._take(rows, *self._on_all_bands(rows, points[lower], LATER_DAMPING))
+            won = self._take(rows, *self._on_all_bands(rows, points[lower]))
             self.changed[won], gained[won] = True, True
             self.origin[won] = NEIGHBOUR
         return np.asarray(np.bincount(self.tile, gained) / np.bincount(self.tile))
@@ -471,28 +474,35 @@ class Search:
             kind = int(kinds[some[0]])
             part = self.parts[kind] = self.parts.get(kind) or PartModel.of(self.model, kind)
             ends = np.ascontiguousarray(starts[np.ix_(some, part.index)])
-            options = DescentOptions(False, FIRST_DAMPING, NEARLY, MAX_ITERATIONS, True, SLACK)
-            outcomes[some] = self._descend(part.problem, options, rows[some], ends, bars[some])
+            options = ROUGHLY._replace(slack=SLACK)
+            outcomes[some] = self._descend(part.problem.in_singles(), options, rows[some], ends, bars[some])
             points[some] = part.whole(ends)
         return points, outcomes
 
-    def _on_all_bands(self, rows: IndexArray, starts: FloatArray, damping: float) -> tuple[FloatArray, FloatArray]:
-        """Where starts lead to, and the outcomes."""
+    def _roughly(self, rows: IndexArray, starts: FloatArray) -> FloatArray:
+        """Near where starts lead to."""
         points = np.array(starts)
-        options = DescentOptions(False, damping, FINALLY, MAX_ITERATIONS, True)
+        self._descend(self.problem.in_singles(), ROUGHLY, rows, points, np.empty(0))
+        return points
+
+    def _on_all_bands(self, rows: IndexArray, starts: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Where starts near a minimum lead to, and the outcomes."""
+        points = np.array(starts)
+        options = DescentOptions(False, LATER_DAMPING, FINALLY, MAX_ITERATIONS, ahead=True)
         return points, self._descend(self.problem, options, rows, points, np.empty(0))
 
     def _descend(
         self, problem: FitProblem, options: DescentOptions, rows: IndexArray, points: FloatArray, bars: FloatArray
     ) -> FloatArray:
-        """Move `points` (jobs, k); the outcomes."""
-        size, outcomes = points.shape[1], np.empty((len(rows), 4))
-        if size not in self.spaces:
-            self.spaces[size] = workspace_for(size, problem.degrees, self.spectra.data.shape[1])
+        """Move `points` (jobs, k), in singles where the problem is; the outcomes."""
+        size, kind, outcomes = points.shape[1], problem.prior.dtype, np.empty((len(rows), 4))
+        space = self.spaces.get((size, kind)) or workspace_for(
+            size, problem.degrees, self.spectra.data.shape[1], kind.type
+        )
+        self.spaces[size, kind] = space
         descend(
-            self.spectra, self.counts, problem, options, rows, points, outcomes, self.spaces[size],
-            np.empty((0, size, size)), bars,
-        )  # fmt: skip
+            self.spectra, self.counts, problem, options, rows, points, outcomes, space, np.empty((0, size, size)), bars
+        )
         return outcomes
 
     def _take(self, rows: IndexArray, points: FloatArray, outcomes: FloatArray) -> IndexArray:
