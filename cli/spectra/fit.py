@@ -30,7 +30,7 @@ MODEL_OPTIONS: dict[str, RequestOption] = {
     "band_minerals": option(panel=MODEL, metavar="NUMBER=OPX,…"),
     "prior": option(panel=MODEL),
     "model_error": option(panel=MODEL),
-    "starts": option(panel=MODEL, min=1, max=100),
+    "starts": option(panel=MODEL, min=0, max=100),
     "fix": option(panel=LIMITS, metavar="NAME[=VALUE]"),
     "bound": option(panel=LIMITS, metavar="NAME=LOW:HIGH"),
     "tie": option(panel=LIMITS, metavar="NAME=K*OTHER+C"),

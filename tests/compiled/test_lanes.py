@@ -10,8 +10,23 @@ import numba
 import numpy as np
 import pytest
 
-from lunarsci.compiled import LANE_OPTIONS, lanes
-from lunarsci.compiled.lanes import arcsin, cosine, exp_minus_one, exponential, logarithm, sine
+from lunarsci.compiled import LANE_OPTIONS, compiled, lanes
+from lunarsci.compiled.lanes import (
+    aligned,
+    arcsin,
+    choose,
+    cosine,
+    exp_minus_one,
+    exponential,
+    filled,
+    is_above,
+    load,
+    logarithm,
+    negligible,
+    root,
+    sine,
+    store,
+)
 
 
 @cache
@@ -65,3 +80,40 @@ def test_exponentials_beyond_all_numbers_stay_numbers() -> None:
 def test_loops_run_in_lanes(name: str) -> None:
     _, assembly = over(getattr(lanes, name), np.linspace(0.1, 0.7, 100))
     assert re.search(r"v(?:mul|fn?madd\d+)pd\b", assembly)
+
+
+@compiled
+def _of_eight(values: Any, bells: Any, logarithms: Any, others: Any) -> int:
+    """Exponentials, logarithms and what else rows of an array need; how many rows have a number above 1."""
+    above = 0
+    for row in range(values.shape[0]):
+        x = load(values, row)
+        store(bells, row, exponential(x * -1.0))
+        store(logarithms, row, logarithm(x))
+        store(others, row, choose(x - 1.0, root(x) / 3.0, filled(values, 0.1)))
+        above += is_above(x, 1.0)
+    return above
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_eight_singles_are_as_exact_as_singles_can_be(kind: type[np.floating[Any]]) -> None:
+    values, bells, logarithms, others = (aligned(1000, kind=kind) for _ in range(4))
+    values[:] = np.geomspace(1e-6, 80.0, values.size).reshape(values.shape)
+    above = _of_eight(values, bells, logarithms, others)
+    assert above == np.count_nonzero((values > 1).any(axis=1)) not in (0, 1000)
+    truth, digit = values.astype(np.float64), float(np.finfo(kind).eps)
+    assert bells.dtype == kind
+    assert np.allclose(bells, np.exp(-truth), rtol=4 * digit, atol=0)
+    assert np.allclose(logarithms, np.log(truth), rtol=2 * digit, atol=digit)
+    assert np.allclose(others, np.where(truth > 1, np.sqrt(truth) / 3, 0.1), rtol=2 * digit, atol=0)
+
+
+@compiled
+def _negligible(values: Any) -> float:
+    return negligible(values)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_what_is_negligible_is_lost_beside_1(kind: type[np.floating[Any]]) -> None:
+    share = np.exp(-_negligible(aligned(1, kind=kind)))
+    assert np.finfo(kind).eps / 2 < share < 2 * np.finfo(kind).eps

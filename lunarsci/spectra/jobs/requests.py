@@ -143,7 +143,8 @@ class ModelRequest:
     prior : map: priors count as measurements; damping: they only slow the iteration, as in the RELAB MGM program.
     model_error : Error of ln R for what the model cannot explain, added to the noise; above 0, below 1. By default
         0.003 and 4 % of the depth of the deepest absorption, in quadrature. What auto compares has an error of its own.
-    starts : Starting points, beside a search around the lowest minimum.
+    starts : Starting points, beside a search around the lowest minimum; 0 for a quick look, one descent without a
+        search.
     fix : Hold a parameter, such as opx_1_center_nm=915; also …_fwhm_nm, …_strength, and c0, c1, … of the continuum,
         whose variable runs from -1 to 1 over 400-2600 nm. May be repeated.
     bound : Keep a parameter within a range. May be repeated.

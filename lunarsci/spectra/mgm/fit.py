@@ -141,7 +141,7 @@ def fit_spectra(
     model : as `mgm_model` makes it.
     model_error : standard deviation of ln R that is added to the channel noise in quadrature, above 0; without it,
         `expected_misfit` of each spectrum. [-]
-    starts : number of starting points, 1 or more.
+    starts : number of starting points, 1 or more; 0 for one descent from the prior without a search around it.
     progress : called with (done, total).
 
     Raises
@@ -211,8 +211,8 @@ def check_options(model_error: Any, starts: Any = 1) -> None:
     """Raises ParameterError for a model error, or one of several, or a number of starts out of range."""
     if model_error is not None and not ((np.asarray(model_error) > 0) & (np.asarray(model_error) < 1)).all():
         raise ParameterError(f"model error is {model_error:g}; give a number above 0 and below 1, such as 0.01")
-    if isinstance(starts, int) and starts < 1:
-        raise ParameterError(f"{starts} starts; give 1 or more")
+    if isinstance(starts, int) and starts < 0:
+        raise ParameterError(f"{starts} starts; give 1 or more, or 0 for one descent without a search")
 
 
 def fit_arrays(
@@ -233,8 +233,8 @@ def fit_arrays(
     sigma : (n, c) standard deviation of the reflectance, above 0 where that is used; without it, the scatter from
         channel to channel. [-]
     model_error : as in `fit_spectra`, one for all or one a row. [-]
-    starts : number of starting points; or starting points of the rows, (n, p), in the order and units of `model`, from
-        each of which one descent is made and no other minimum looked for.
+    starts : number of starting points, as in `fit_spectra`; or starting points of the rows, (n, p), in the order and
+        units of `model`, from each of which one descent is made and no other minimum looked for.
 
     Returns
     -------
@@ -276,7 +276,7 @@ def fit_rows(rows: MgmRows, model: MgmModel, starts: int | FloatArray) -> FitBat
     level = ln_reflectance.mean(axis=1) if model.scale_free else np.zeros(len(rows))
     shifted = ln_reflectance - level[:, None]
     if isinstance(starts, int):
-        points, hops = starting_points(model, shifted, starts), hops_of(model)
+        points, hops = search_of(model, shifted, starts)
     else:
         points, hops = scaled(model, starts, -level)[None], NO_HOPS
     spectra, problem = channels_of(rows, model, shifted), problem_of(model)
@@ -330,6 +330,11 @@ def fit_batch(
         for name in ("best", "covariance", "outcome", "competing", "competing_sigmas")
     )
     return KernelFits(best, covariance, *outcome.T, *others)
+
+
+def search_of(model: MgmModel, ln_reflectance: FloatArray, starts: int) -> tuple[FloatArray, FloatArray]:
+    """Starts and hops of so many starts, as `fit_batch` takes them; of 0 starts one, and no hops."""
+    return starting_points(model, ln_reflectance, max(starts, 1)), hops_of(model) if starts else NO_HOPS
 
 
 def starting_points(model: MgmModel, ln_reflectance: FloatArray, starts: int) -> FloatArray:

@@ -1,10 +1,11 @@
 """The Modified Gaussian Model, compiled: ln R, its derivatives, and what descents and samplers make of them.
 
 `model_and_jacobian` has one spectrum, for what a fit does once. Descents work on eight spectra side by side: the
-derivatives of a band are its Gaussian times a polynomial of second degree in wavelength, so what the normal equations
-need of two bands are five moments of the product of their Gaussians, not nine products of derivatives (`evaluate`,
-`update`). The sums are taken over a few channels at a time, which stay in the fastest memory. The objective is `scale`
-times chi-square plus (p - prior)' precision (p - prior), its step Marquardt's within bounds (`solve_step`).
+derivatives of a band are its Gaussian times powers 0 to 2 of the distance u from its centre, so what the normal
+equations need of two bands are five sums of the product of their Gaussians, from which the nine of derivatives follow
+(`evaluate`, `update`). The sums are taken over a few channels at a time, which stay in the fastest memory; bands, and
+pairs of bands, that are lost in the rounding there are left out. The objective is `scale` times chi-square plus (p -
+prior)' precision (p - prior), its step Marquardt's within bounds (`solve_step`).
 
 Matrices have the side - `TILE` rows of the system, padded to a multiple of `TILE` by those of the identity, and `TILE`
 columns more, of which the first is a right-hand side and the others are 0. The upper triangle is overwritten by the
@@ -464,10 +465,8 @@ def _project(point: Any, wavelength: Any, basis: Any, rest: Any, level: Any, sha
 
 BLOCK = 8
 """Channels worked on together; their number is a multiple of it."""
-ORIGIN = 1.4
-"""Wavelengths are counted from here, near the middle of the range, so that fourth powers lose few digits. [um]"""
 MOMENTS = 5
-"""Powers 0 to 4 of wavelength in the product of two bands' derivatives, each of second degree."""
+"""Sums of a pair of bands a and b: of the product of their Gaussians times 1, u_a, u_a^2, u_a^2 u_b and u_a^2 u_b^2."""
 LEAST = 1e-9
 """A continuum below this, in a trial that will be refused, is replaced by it."""
 
@@ -487,10 +486,10 @@ def rows_of_sums(degrees: int, bands: int) -> int:
 @uncounted
 def continuum_rows(channels: Any, first: int, point: Any, degrees: int, logarithmic: bool, work: Any) -> Any:
     """Derivatives by the continuum's coefficients and ln R - ln C of one block; the lowest value of C."""
-    offsets, basis, data, roots = channels
-    count, least = offsets.shape[0], filled(offsets, 1.0)
+    _, basis, data, roots = channels
+    count, least = data.shape[0], filled(data, 1.0)
     for i in range(BLOCK):
-        level = filled(offsets, 0.0)
+        level = filled(data, 0.0)
         for m in range(degrees):
             level += load(basis, m * count + first + i) * load(point, m)
         slope = load(roots, first + i)
@@ -508,29 +507,30 @@ def continuum_rows(channels: Any, first: int, point: Any, degrees: int, logarith
 
 @uncounted
 def gaussian_rows(channels: Any, first: int, point: Any, degrees: int, work: Any) -> None:
-    """Weighted Gaussians times the powers 0, 1, 2 of wavelength, and the residual without the bands, of one block."""
-    offsets, _, _, roots = channels
+    """Weighted Gaussians times the powers 0, 1, 2 of u, the residual without the bands, and whether each is there at
+    all (above 0 where it is), of one block."""
+    wavelength, _, _, roots = channels
     at = degrees * BLOCK
     row, far, nothing = at + BLOCK, at + BLOCK + (point.shape[0] - degrees) * BLOCK, negligible(work)
     for band in range(degrees, point.shape[0], 3):
-        centre, inverse = load(point, band) - ORIGIN, FWHM_OVER_SIGMA / load(point, band + 1)
+        centre, inverse = load(point, band), FWHM_OVER_SIGMA / load(point, band + 1)
         strength = load(point, band + 2)
-        beyond = (load(offsets, first) - centre) * inverse
-        before = (centre - load(offsets, first + BLOCK - 1)) * inverse
+        beyond = (load(wavelength, first) - centre) * inverse
+        before = (centre - load(wavelength, first + BLOCK - 1)) * inverse
         apart = highest(highest(beyond, before), spread(0.0))
         inside = nothing - apart * apart * 0.5
         store(work, far, inside)
         if is_above(inside, 0.0):
             for i in range(BLOCK):
-                offset = load(offsets, first + i) - centre
-                x = offset * inverse
+                u = load(wavelength, first + i) - centre
+                x = u * inverse
                 shape = choose(inside, exponential(x * x * -0.5), spread(0.0))
                 store(work, at + i, load(work, at + i) - strength * shape)
                 shape = shape * load(roots, first + i)
                 store(work, row + i, shape)
-                shape = shape * offset
+                shape = shape * u
                 store(work, row + BLOCK + i, shape)
-                store(work, row + 2 * BLOCK + i, shape * offset)
+                store(work, row + 2 * BLOCK + i, shape * u)
         else:
             for i in range(3 * BLOCK):
                 store(work, row + i, spread(0.0))
@@ -571,7 +571,7 @@ def _add_plain(work: Any, degrees: int, bands: int, sums: Any) -> None:
 
 @uncounted
 def _add_bands(work: Any, degrees: int, bands: int, sums: Any) -> None:
-    """Moments 0 to 4 of the product of every two bands."""
+    """`MOMENTS` of every two bands."""
     begin, start = (degrees + 1) * BLOCK, (degrees + 1) * (degrees + 1 + 3 * bands)
     far, nothing = begin + 3 * bands * BLOCK, negligible(work)
     for a in range(bands):
@@ -610,7 +610,7 @@ def evaluate(
 ) -> None:
     """Fill `sums`, in the order of `rows_of_sums`, at the points (p, 8); those of pairs of bands where `curved` is 1.
 
-    `channels` are wavelength from `ORIGIN`, basis, ln R and the root of the weight, each (n, 8), the basis (m n, 8).
+    `channels` are wavelength, basis, ln R and the root of the weight, each (n, 8), the basis (m n, 8).
     `residuals` (n, 8) become data - model, times the root of the weight.
     """
     bands, least = (point.shape[0] - degrees) // 3, filled(point, 1.0)

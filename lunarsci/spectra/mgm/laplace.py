@@ -99,7 +99,7 @@ def _describe(spectra: Any, problem: Any, points: Any, chi2: Any, space: Any, ro
 @uncounted
 def _linearise(problem: Any, space: Any) -> Any:
     """Residuals, J r and the upper triangle of J J' at the workspace's points; the lowest value of the continuum."""
-    channels = (space.offsets, space.basis, space.data, space.roots)
+    channels = (space.wavelength, space.basis, space.data, space.roots)
     degrees, logarithmic = problem.degrees, problem.logarithmic
     evaluate(channels, space.point, degrees, logarithmic, 1, space.work, space.residuals, space.sums)
     update(space.sums, space.point, degrees, spread(1.0), space.curvature, space.slope)

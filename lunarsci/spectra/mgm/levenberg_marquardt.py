@@ -3,10 +3,10 @@
 Each lane follows one job, a start on one spectrum; a lane whose job has ended takes the next. What a lane does depends
 on its own job alone, so the result of a job is the same in any company.
 
-The search (`Multistart`) descends on coarse spectra, neighbouring channels put together: bands are tens of channels
-wide, so they lead near the minima at a fraction of the cost. Only a minimum that may be the lowest is finished on all
-channels. Hops from the lowest find what random starts rarely do, the minimum in which a neighbouring band does the
-work.
+The search (`Multistart`) descends on coarse spectra, neighbouring channels put together, in numbers of single
+precision: bands are tens of channels wide, so they lead near the minima at a fraction of the cost. Only a minimum that
+may be the lowest is finished, on all channels in double precision. Hops from the lowest find what random starts rarely
+do, the minimum in which a neighbouring band does the work.
 """
 
 import math
@@ -22,7 +22,6 @@ from lunarsci.compiled.lanes import aligned, choose, filled, load, spread, store
 from lunarsci.spectra.mgm.forward import (
     BLOCK,
     FWHM_OVER_SIGMA,
-    ORIGIN,
     clip_to_bounds,
     damped,
     evaluate,
@@ -165,11 +164,12 @@ class KernelFits:
 
 
 class Workspace(NamedTuple):
-    """Arrays of eight columns, a lane each, to work in: n channels, padded to a multiple of `BLOCK`, p parameters.
+    """Arrays of eight columns, a lane each, of doubles or singles, to work in: n channels, padded to a multiple of
+    `BLOCK`, p parameters.
 
     Attributes
     ----------
-    offsets : (n, 8) wavelength less `ORIGIN`. [um]
+    wavelength : (n, 8), ascending. [um]
     basis : (m n, 8) of the continuum, channel i of coefficient c at c n + i. [-]
     data, roots : (n, 8) ln R, and the root of the weight, 0 beyond the last channel. [-]
     work : (`rows_of_work`, 8) derivatives of one block of channels.
@@ -186,7 +186,7 @@ class Workspace(NamedTuple):
     state : (12, 8) numbers of the descent, at rows `CHI2` to `CROSSED`.
     """
 
-    offsets: Any
+    wavelength: Any
     basis: Any
     data: Any
     roots: Any
@@ -221,10 +221,10 @@ def workspace_for(size: int, degrees: int, channels: int, kind: type[np.floating
 def fill_lane(spectra: Any, row: int, space: Any, lane: int) -> None:
     """Copy a spectrum into a lane; channels beyond its last are that one again, without weight."""
     shared_row = min(row, spectra.wavelength.shape[0] - 1)
-    channels, count = spectra.data.shape[1], space.offsets.shape[0]
+    channels, count = spectra.data.shape[1], space.wavelength.shape[0]
     for i in range(count):
         j = min(i, channels - 1)
-        space.offsets[i, lane] = spectra.wavelength[shared_row, j] - ORIGIN
+        space.wavelength[i, lane] = spectra.wavelength[shared_row, j]
         space.data[i, lane] = spectra.data[row, j]
         space.roots[i, lane] = spectra.root_weight[row, j] if i < channels else 0.0
         for m in range(spectra.basis.shape[1]):
@@ -464,7 +464,7 @@ def _descend(
 ) -> None:  # fmt: skip
     """`descend`, compiled: lanes take jobs, are judged, propose a step and leave, until no job is left."""
     following, left = 0, 0
-    channels = (space.offsets, space.basis, space.data, space.roots)
+    channels = (space.wavelength, space.basis, space.data, space.roots)
     while left > 0 or following < rows.size:
         following = _take_jobs(spectra, problem, options, rows, points, space, jobs, following)
         evaluate(
@@ -511,7 +511,7 @@ def coarsened(fine: Channels, together: int) -> Channels:
 @uncounted
 def _slope(space: Any, problem: Any, curved: int) -> None:
     """Residuals, J r and, where `curved` is 1, J J' of a workspace's spectra at its trial points."""
-    channels = (space.offsets, space.basis, space.data, space.roots)
+    channels = (space.wavelength, space.basis, space.data, space.roots)
     evaluate(
         channels, space.trial, problem.degrees, problem.logarithmic, curved, space.work, space.residuals, space.sums
     )

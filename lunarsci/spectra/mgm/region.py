@@ -26,10 +26,9 @@ from lunarsci.spectra.mgm.fit import (
     DEFAULT_STARTS,
     MAX_ITERATIONS,
     TOLERANCE,
-    hops_of,
     same_channels,
     scaled,
-    starting_points,
+    search_of,
 )
 from lunarsci.spectra.mgm.levenberg_marquardt import (
     CONVERGED,
@@ -435,8 +434,9 @@ class Search:
         if not rows.size:
             return
         search = Multistart(self.spectra.part(rows), self.problem, TOLERANCE, MAX_ITERATIONS)
-        search.start(starting_points(self.model, self.spectra.data[rows], self.starts))
-        search.hop(hops_of(self.model))
+        starts, hops = search_of(self.model, self.spectra.data[rows], self.starts)
+        search.start(starts)
+        search.hop(hops)
         before = self.outcomes[rows, 1]
         self._take(rows, search.best, search.outcome)
         closer = (search.outcome[:, 1] <= before) & (search.competing < self.competing[rows])

@@ -184,7 +184,7 @@ def test_unknown_assemblages_list_the_known_minerals(name: str) -> None:
         assemblage(name)
 
 
-@pytest.mark.parametrize("options", [{"model_error": 0.0}, {"model_error": np.nan}, {"starts": 0}])
+@pytest.mark.parametrize("options", [{"model_error": 0.0}, {"model_error": np.nan}, {"starts": -1}])
 def test_impossible_options_are_refused(options: dict[str, object]) -> None:
     with pytest.raises(ParameterError):
         fit_spectra([made(STRENGTHS)], MODEL, **options)
@@ -413,6 +413,15 @@ def test_alone_or_in_a_batch_is_the_same() -> None:
         assert np.allclose(numbers(first), numbers(alone), rtol=1e-9, atol=1e-12)
         assert np.allclose(numbers(second), numbers(alone), rtol=1e-9, atol=1e-12)
         assert first.status == second.status == alone.status
+
+
+def test_a_quick_look_ends_in_the_lowest_minimum_of_most() -> None:
+    spectra = [Spectrum(str(seed), GRID, pyroxenes(seed)) for seed in range(40)]
+    quick, found = (
+        np.array([fit.objective for fit in fit_spectra(spectra, MODEL, starts=starts)]) for starts in (0, 4)
+    )
+    assert (quick > found - 0.01).all()
+    assert np.mean(quick < found + 0.01) > 0.9
 
 
 def test_masked_channels_are_as_if_they_were_not_there() -> None:

@@ -96,7 +96,7 @@ def test_a_matrix_that_is_not_positive_definite_is_reported_in_its_lane() -> Non
 
 @compiled
 def _normal_equations(space: Any, degrees: int, logarithmic: bool) -> None:
-    channels = (space.offsets, space.basis, space.data, space.roots)
+    channels = (space.wavelength, space.basis, space.data, space.roots)
     evaluate(channels, space.trial, degrees, logarithmic, 1, space.work, space.residuals, space.sums)
     update(space.sums, space.trial, degrees, spread(1.0), space.curvature, space.slope)
 
