@@ -13,22 +13,20 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import uncounted
 from lunarsci.compiled.formulas import LANES
-from lunarsci.compiled.lanes import aligned, choose, highest, load, root, spread, store
+from lunarsci.compiled.lanes import aligned, choose, highest, load, spread, store
 from lunarsci.spectra.mgm.forward import (
     damped,
-    evaluate,
     factorise,
     invert,
     matrix_side,
     prior_pull,
-    update,
 )
-from lunarsci.spectra.mgm.levenberg_marquardt import Channels, FitProblem, fill_lane, workspace_for
+from lunarsci.spectra.mgm.levenberg_marquardt import Channels, FitProblem, linearised, workspace_for
 
-MISFIT, USED, WIDE, PIVOT, VARIANCE, BEND, CHI2, ALIVE = range(8)
-"""Rows of a workspace's `state` here: rms of data - model; parameters that the data determine, then reduced chi-square;
-weight of the data with their errors widened; least pivot of the curvature; variance and curvature of a parameter on its
-bound; chi-square; lowest value of the continuum."""
+USED, WIDE, PIVOT, VARIANCE, BEND, CHI2 = range(6)
+"""Rows of a workspace's `state` here: parameters that the data determine, then reduced chi-square; weight of the data
+with their errors widened; least pivot of the curvature; variance and curvature of a parameter on its bound; chi-square.
+"""
 TAIL = 30.0
 """From here on the one-sided law is an exponential one with a first correction, to 1e-4, and the error function runs
 out."""
@@ -61,59 +59,41 @@ def laplace_errors(spectra: Channels, problem: FitProblem, points: FloatArray, c
     """
     rows, size = points.shape
     space = workspace_for(size, problem.degrees, spectra.data.shape[1])
-    result = LaplaceErrors(np.empty(rows), np.empty(rows), np.empty((rows, size, size)))
-    _describe(spectra, problem, np.ascontiguousarray(points), chi2, space, _rooms(size), result)
+    ends = linearised(spectra, problem, points, space, curved=True)
+    rms_ln = np.sqrt(np.mean((ends.residuals / spectra.root_weight) ** 2, axis=1))
+    freedom = (chi2, float(spectra.data.shape[1]))
+    result = LaplaceErrors(rms_ln, np.where(np.isfinite(rms_ln), 1.0, np.nan), np.empty((rows, size, size)))
+    _describe(ends, problem, np.ascontiguousarray(points), freedom, space, _rooms(size), result)
     return result
 
 
 @uncounted
-def _describe(spectra: Any, problem: Any, points: Any, chi2: Any, space: Any, rooms: Any, result: Any) -> None:
-    """`laplace_errors` into `result`, eight rows at a time."""
-    rows, size = points.shape
-    channels, state = spectra.data.shape[1], space.state
+def _describe(ends: Any, problem: Any, points: Any, freedom: Any, space: Any, rooms: Any, result: Any) -> None:
+    """Reduced chi-square and covariance of `laplace_errors` into `result`, eight rows at a time.
+
+    `freedom` : chi-square, (n,), and how many channels there are.
+    """
+    (rows, size), state, (chi2, channels) = points.shape, space.state, freedom
     for first in range(0, rows, LANES):
         for lane in range(LANES):
             row = min(first + lane, rows - 1)
-            fill_lane(spectra, row, space, lane)
             state[CHI2, lane] = chi2[row]
             for p in range(size):
-                space.point[p, lane] = points[row, p]
-        store(state, ALIVE, _linearise(problem, space))
+                space.point[p, lane], space.slope[p, lane] = points[row, p], ends.slopes[row, p]
+                for q in range(p, size):
+                    space.curvature[p * size + q, lane] = ends.curvatures[row, p, q]
         prior_pull(space.point, problem.prior, problem.precision, space.pull)
-        store(state, MISFIT, _misfit(space, channels))
         _determined(problem, space, rooms[0])
-        reduced = load(state, CHI2) / highest(spread(float(channels)) - load(state, USED), spread(1.0))
+        reduced = load(state, CHI2) / highest(spread(channels) - load(state, USED), spread(1.0))
         store(state, WIDE, spread(1.0) / highest(reduced, spread(1.0)))
         _widen(problem, space)
         _bounded(problem, space, rooms)
         store(state, USED, reduced)
         for lane in range(min(LANES, rows - first)):
-            alive = state[ALIVE, lane] > 0.0
-            result.rms_ln[first + lane] = state[MISFIT, lane] if alive else math.nan
-            result.reduced_chi2[first + lane] = state[USED, lane] if alive else math.nan
-            if not alive:
+            result.reduced_chi2[first + lane] *= state[USED, lane]
+            if math.isnan(result.reduced_chi2[first + lane]):
                 state[PIVOT, lane] = 0.0
         _hand_over(space, rooms[1], first, result.covariance)
-
-
-@uncounted
-def _linearise(problem: Any, space: Any) -> Any:
-    """Residuals, J r and the upper triangle of J J' at the workspace's points; the lowest value of the continuum."""
-    channels = (space.wavelength, space.basis, space.data, space.roots)
-    degrees, logarithmic = problem.degrees, problem.logarithmic
-    evaluate(channels, space.point, degrees, logarithmic, 1, space.work, space.residuals, space.sums)
-    update(space.sums, space.point, degrees, spread(1.0), space.curvature, space.slope)
-    return load(space.sums, space.sums.shape[0] - 1)
-
-
-@uncounted
-def _misfit(space: Any, channels: int) -> Any:
-    """Root mean square of data - model, of residuals that hold the root of the weight."""
-    total = spread(0.0)
-    for i in range(channels):
-        off = load(space.residuals, i) / load(space.roots, i)
-        total += off * off
-    return root(total / float(channels))
 
 
 @uncounted

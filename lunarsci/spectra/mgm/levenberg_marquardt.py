@@ -18,7 +18,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray, IndexArray
 from lunarsci.compiled import uncounted
 from lunarsci.compiled.formulas import LANES
-from lunarsci.compiled.lanes import aligned, choose, filled, load, spread, store
+from lunarsci.compiled.lanes import aligned, load, spread, store
 from lunarsci.spectra.mgm.forward import (
     BLOCK,
     FWHM_OVER_SIGMA,
@@ -137,6 +137,27 @@ class Channels(NamedTuple):
         if len(wavelength) > 1:
             wavelength, basis = wavelength[rows], basis[rows]
         return Channels(wavelength, basis, self.data[rows], self.root_weight[rows])
+
+
+class Linearised(NamedTuple):
+    """What the objective is made of where descents end, job by job; (0, ...) for what is not wanted.
+
+    Attributes
+    ----------
+    curvatures : (jobs, p, p) J J', upper triangles, J the derivatives of ln R times the root of the weight.
+    slopes : (jobs, p) J r.
+    residuals : (jobs, n) r, data - model times the root of the weight, at the last point that was tried; NaN where the
+        model has no value.
+    """
+
+    curvatures: Any
+    slopes: Any
+    residuals: Any
+
+    @classmethod
+    def of(cls, size: int, jobs: int = 0) -> "Linearised":
+        """Of descents with so many parameters, curvatures of so many jobs alone."""
+        return cls(np.empty((jobs, size, size)), np.empty((0, size)), np.empty((0, 0)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -418,7 +439,7 @@ def _propose(problem: Any, options: Any, bars: Any, space: Any, jobs: Any) -> No
 
 
 @uncounted
-def _dismiss(problem: Any, ahead: bool, space: Any, jobs: Any, points: Any, outcomes: Any, curvatures: Any) -> int:
+def _dismiss(problem: Any, ahead: bool, space: Any, jobs: Any, points: Any, outcomes: Any, ends: Any) -> int:
     """Write what the lanes that end have come to, or, `ahead`, where they go, and empty them; how many are left."""
     state, size, left = space.state, points.shape[1], 0
     for lane in range(LANES):
@@ -427,8 +448,12 @@ def _dismiss(problem: Any, ahead: bool, space: Any, jobs: Any, points: Any, outc
             goes = ahead and status == CONVERGED
             for p in range(size):
                 points[job, p] = space.trial[p, lane] if goes or status == NOT_FINITE else space.point[p, lane]
-                for q in range(p, size if curvatures.shape[0] > 0 else p):
-                    curvatures[job, p, q] = space.curvature[p * size + q, lane]
+                for q in range(p, size if ends.curvatures.shape[0] > 0 else p):
+                    ends.curvatures[job, p, q] = space.curvature[p * size + q, lane]
+            for p in range(size if ends.slopes.shape[0] > 0 else 0):
+                ends.slopes[job, p] = space.slope[p, lane]
+            for i in range(ends.residuals.shape[1]):
+                ends.residuals[job, i] = space.residuals[i, lane] if status != NOT_FINITE else math.nan
             chi2, share = state[CHI2, lane], state[SHARE, lane]
             if goes:
                 expected = chi2 + share - state[PROMISED, lane]
@@ -443,39 +468,53 @@ def _dismiss(problem: Any, ahead: bool, space: Any, jobs: Any, points: Any, outc
 
 def descend(
     spectra: Channels, counts: FloatArray, problem: FitProblem, options: DescentOptions, rows: IndexArray,
-    points: FloatArray, outcomes: FloatArray, space: Workspace, curvatures: FloatArray, bars: FloatArray,
+    points: FloatArray, outcomes: FloatArray, space: Workspace, ends: Linearised, bars: FloatArray,
 ) -> None:  # fmt: skip
     """Move each of `points` (jobs, p) to the minimum that its neighbourhood leads to on spectrum `rows[job]`, which has
     `counts[row]` channels with weight; its row of `outcomes` becomes chi-square, objective, iterations, status.
 
-    `curvatures`, (jobs, p, p) or (0, p, p) where not wanted, become J J' at the end, upper triangles. A descent that
-    will not come below its bar, (jobs,), is given up; (0,) for none.
+    `ends` is filled; where it has residuals nothing may be moved (`linearised`). A descent that will not come below its
+    bar, (jobs,), is given up; (0,) for none.
     """
     numbers, flags = np.zeros((4, LANES), dtype=np.int64), np.zeros((2, LANES), dtype=np.bool_)
-    _descend(
-        spectra, counts, problem, options, rows, points, outcomes, space, curvatures, bars, _Jobs(*numbers, *flags)
-    )
+    _descend(spectra, counts, problem, options, rows, points, outcomes, space, ends, bars, _Jobs(*numbers, *flags))
 
 
 @uncounted
 def _descend(
     spectra: Any, counts: Any, problem: Any, options: Any, rows: Any, points: Any, outcomes: Any, space: Any,
-    curvatures: Any, bars: Any, jobs: Any,
+    ends: Any, bars: Any, jobs: Any,
 ) -> None:  # fmt: skip
     """`descend`, compiled: lanes take jobs, are judged, propose a step and leave, until no job is left."""
     following, left = 0, 0
+    curved = 1 if options.max_iterations > 0 or ends.curvatures.shape[0] > 0 else 0
     channels = (space.wavelength, space.basis, space.data, space.roots)
     while left > 0 or following < rows.size:
         following = _take_jobs(spectra, problem, options, rows, points, space, jobs, following)
         evaluate(
-            channels, space.trial, problem.degrees, problem.logarithmic, 1, space.work, space.residuals, space.sums
+            channels, space.trial, problem.degrees, problem.logarithmic, curved, space.work, space.residuals, space.sums
         )
         store(space.state, TRIAL_SHARE, prior_pull(space.trial, problem.prior, problem.precision, space.trial_pull))
         _judge_all(counts, rows, options, problem.degrees, space, jobs)
         update(space.sums, space.trial, problem.degrees, load(space.state, TAKEN), space.curvature, space.slope)
-        _dismiss(problem, False, space, jobs, points, outcomes, curvatures)
+        _dismiss(problem, False, space, jobs, points, outcomes, ends)
         _propose(problem, options, bars, space, jobs)
-        left = _dismiss(problem, options.ahead, space, jobs, points, outcomes, curvatures)
+        left = _dismiss(problem, options.ahead, space, jobs, points, outcomes, ends)
+
+
+def linearised(
+    spectra: Channels, problem: FitProblem, points: FloatArray, space: Workspace, curved: bool = False
+) -> Linearised:
+    """Residuals and slopes at `points`, (n, p), of as many spectra, and where asked for the curvatures; by descents
+    that do not move."""
+    count, size = points.shape
+    ends = Linearised(
+        np.empty((count if curved else 0, size, size)), np.empty((count, size)), np.empty(spectra.data.shape)
+    )
+    outcomes, options = np.empty((count, 4)), DescentOptions(False, FIRST_DAMPING, math.inf, 0)
+    rows, weighed = np.arange(count), np.full(count, np.inf)
+    descend(spectra, weighed, problem, options, rows, np.array(points), outcomes, space, ends, np.empty(0))
+    return ends
 
 
 COARSE_CHANNELS = 128
@@ -488,101 +527,46 @@ def coarse_size(channels: int) -> int:
     return max(1, round(channels / COARSE_CHANNELS))
 
 
+def added(values: FloatArray, together: int) -> FloatArray:
+    """Sums of `together` neighbouring channels, the last axis, in their order."""
+    cells = -(-values.shape[-1] // together)
+    room = np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, cells * together - values.shape[-1])])
+    return np.asarray(sum((room[..., i::together] for i in range(1, together)), start=room[..., ::together].copy()))
+
+
 def coarsened(fine: Channels, together: int) -> Channels:
     """Spectra with `together` neighbouring channels as one, their weighted means; those without weight do not count."""
-    channels = fine.data.shape[1]
-    cells = -(-channels // together)
-
-    def cut(values: FloatArray) -> FloatArray:
-        room = [(0, 0)] * (values.ndim - 1) + [(0, cells * together - channels)]
-        return np.pad(values, room).reshape(*values.shape[:-1], cells, together)
-
-    def summed(parts: FloatArray) -> FloatArray:
-        return np.asarray(sum((parts[..., i] for i in range(1, together)), start=parts[..., 0].copy()))
-
-    weight, alike = cut(fine.root_weight**2), cut(np.ones(channels))
-    total = summed(weight)
-    with np.errstate(invalid="ignore"):
-        share = np.where(total[..., None] > 0.0, weight / total[..., None], alike / alike.sum(axis=1, keepdims=True))
-    means = summed(share * cut(fine.wavelength)), summed(share[:, None] * cut(fine.basis))
-    return Channels(*means, summed(share * cut(fine.data)), np.sqrt(total))
+    weight = fine.root_weight**2
+    total = added(weight, together)
+    empty = np.repeat(total == 0.0, together, axis=1)[:, : weight.shape[1]]
+    counted = np.where(empty, 1.0, weight)
+    share = counted / np.repeat(added(counted, together), together, axis=1)[:, : weight.shape[1]]
+    wavelength, basis = added(share * fine.wavelength, together), added(share[:, None] * fine.basis, together)
+    return Channels(wavelength, basis, added(share * fine.data, together), np.sqrt(total))
 
 
-@uncounted
-def _slope(space: Any, problem: Any, curved: int) -> None:
-    """Residuals, J r and, where `curved` is 1, J J' of a workspace's spectra at its trial points."""
-    channels = (space.wavelength, space.basis, space.data, space.roots)
-    evaluate(
-        channels, space.trial, problem.degrees, problem.logarithmic, curved, space.work, space.residuals, space.sums
-    )
-    update(space.sums, space.trial, problem.degrees, spread(1.0), space.curvature, space.slope)
-
-
-@uncounted
-def _shift_to_means(fine: Any, coarse: Any, together: int) -> None:
-    """Shift the coarse data of two workspaces so that the coarse residuals are the means of the fine ones."""
-    count = fine.residuals.shape[0]
-    for cell in range(-(-count // together)):
-        total = filled(fine.residuals, 0.0)
-        for i in range(cell * together, min((cell + 1) * together, count)):
-            total += load(fine.roots, i) * load(fine.residuals, i)
-        root = load(coarse.roots, cell)
-        weight = choose(root, root, spread(1.0))
-        shift = (total / weight - load(coarse.residuals, cell)) / weight
-        store(coarse.data, cell, load(coarse.data, cell) + choose(root, shift, spread(0.0)))
-
-
-@uncounted
-def _shift_slope(fine: Any, coarse: Any, problem: Any) -> None:
-    """Shift the coarse data of two workspaces by what the model changes along the step by which their slopes differ."""
-    size = coarse.point.shape[0]
-    one, none = filled(coarse.point, 1.0), filled(coarse.point, 0.0)
-    for p in range(size):
-        store(coarse.slope, p, load(fine.slope, p) - load(coarse.slope, p))
-        store(coarse.pull, p, none)
-        store(coarse.free, p, one)
-    least = solve_step(
-        coarse.curvature, problem.precision, one, one, coarse.slope, coarse.pull, coarse.free, 0,
-        coarse.matrix, coarse.step,
-    )  # fmt: skip
-    for p in range(size):
-        store(coarse.trial, p, load(coarse.point, p) + choose(least, load(coarse.step, p), none))
-    for i in range(coarse.data.shape[0]):
-        store(coarse.former, i, load(coarse.residuals, i))
-    _slope(coarse, problem, 0)
-    for i in range(coarse.data.shape[0]):
-        root = load(coarse.roots, i)
-        shift = (load(coarse.former, i) - load(coarse.residuals, i)) / choose(root, root, one)
-        store(coarse.data, i, load(coarse.data, i) + shift)
-
-
-@uncounted
-def correct(fine: Any, coarse: Any, together: int, problem: Any, coarse_problem: Any, points: Any, spaces: Any) -> None:
+def correct(
+    fine: Channels, coarse: Channels, together: int, problem: FitProblem, points: FloatArray,
+    spaces: tuple[Workspace, Workspace],
+) -> None:  # fmt: skip
     """Shift the coarse data so that at the points, (rows, p), coarse residuals are the means of the fine ones and the
-    slope of the coarse objective is that of the fine one.
+    slope of the coarse objective is that of the fine one; `spaces` are of doubles, and of singles for the coarse.
 
     What the model and the noise do within a coarse channel is then accounted for, and minima near the points are the
     same. The correction of full approximation storage: Brandt (1977), Math. Comp. 31, 333,
     10.1090/S0025-5718-1977-0431719-X; here it is put on the data, which keeps the objective a sum of squares.
     """
-    rows, (fine_space, coarse_space) = points.shape[0], spaces
-    for first in range(0, rows, LANES):
-        for lane in range(LANES):
-            row = min(first + lane, rows - 1)
-            fill_lane(fine, row, fine_space, lane)
-            fill_lane(coarse, row, coarse_space, lane)
-            for p in range(points.shape[1]):
-                fine_space.trial[p, lane] = points[row, p]
-                coarse_space.trial[p, lane] = points[row, p]
-                coarse_space.point[p, lane] = points[row, p]
-        _slope(fine_space, problem, 0)
-        _slope(coarse_space, coarse_problem, 0)
-        _shift_to_means(fine_space, coarse_space, together)
-        _slope(coarse_space, coarse_problem, 1)
-        _shift_slope(fine_space, coarse_space, coarse_problem)
-        for lane in range(min(LANES, rows - first)):
-            for cell in range(coarse.data.shape[1]):
-                coarse.data[first + lane, cell] = coarse_space.data[cell, lane]
+    unbounded = np.full(problem.prior.size, np.inf)
+    free = problem._replace(lower=-unbounded, upper=unbounded).in_singles()
+    wanted = linearised(fine, problem, points, spaces[0])
+    weight = np.where(coarse.root_weight > 0, coarse.root_weight, np.inf)
+    sums = added(fine.root_weight * wanted.residuals, together)
+    coarse.data[:] += (sums / weight - linearised(coarse, free, points, spaces[1]).residuals) / weight
+    here = linearised(coarse, free, points, spaces[1], curved=True)
+    covariance = np.nan_to_num(inverses(here.curvatures, problem, spaces[0]))
+    step = np.einsum("rpq,rq->rp", covariance, wanted.slopes - here.slopes)
+    there = linearised(coarse, free, points + step, spaces[1])
+    coarse.data[:] += np.nan_to_num(here.residuals - there.residuals) / weight
 
 
 @uncounted
@@ -747,20 +731,20 @@ class Multistart:
         ends, outcomes = np.array(points), np.empty((len(rows), 4))
         descend(
             self.coarse, self.counts[1], self.coarse_problem, options, rows, ends, outcomes, self.coarse_space,
-            np.empty((0, 1, 1)), np.empty(0),
+            Linearised.of(points.shape[1]), np.empty(0),
         )  # fmt: skip
         return ends, outcomes
 
     def _finish(self, rows: IndexArray, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Where points lead to on all channels, the outcomes and the covariances."""
-        curvatures = np.empty((len(rows), points.shape[1], points.shape[1]))
+        there = Linearised.of(points.shape[1], len(rows))
         options = DescentOptions(False, LATER_DAMPING, self.tolerance, self.max_iterations)
         ends, outcomes = np.array(points), np.empty((len(rows), 4))
         descend(
-            self.fine, self.counts[0], self.problem, options, rows, ends, outcomes, self.fine_space, curvatures,
+            self.fine, self.counts[0], self.problem, options, rows, ends, outcomes, self.fine_space, there,
             np.empty(0),
         )  # fmt: skip
-        return ends, outcomes, inverses(curvatures, self.problem, self.fine_space)
+        return ends, outcomes, inverses(there.curvatures, self.problem, self.fine_space)
 
     def _settle(self, rows: IndexArray) -> None:
         """Finish the lowest coarse minima, the coarse data corrected there."""
@@ -769,7 +753,7 @@ class Multistart:
         points = self.best[rows]
         if self.together > 1:
             spaces = self.fine_space, self.coarse_space
-            correct(self.fine, self.coarse, self.together, self.problem, self.coarse_problem, self.best, spaces)
+            correct(self.fine, self.coarse, self.together, self.problem, self.best, spaces)
         points, outcomes = self._explore(rows, points, NEAR_TOLERANCE, tempering=False)
         self.floor[rows] = outcomes[:, 1]
         self.best[rows], self.outcome[rows], self.covariance[rows] = self._finish(rows, points)

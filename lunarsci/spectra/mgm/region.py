@@ -39,6 +39,7 @@ from lunarsci.spectra.mgm.levenberg_marquardt import (
     DescentOptions,
     FitProblem,
     KernelFits,
+    Linearised,
     Multistart,
     Workspace,
     descend,
@@ -500,9 +501,7 @@ class Search:
             size, problem.degrees, self.spectra.data.shape[1], kind.type
         )
         self.spaces[size, kind] = space
-        descend(
-            self.spectra, self.counts, problem, options, rows, points, outcomes, space, np.empty((0, size, size)), bars
-        )
+        descend(self.spectra, self.counts, problem, options, rows, points, outcomes, space, Linearised.of(size), bars)
         return outcomes
 
     def _take(self, rows: IndexArray, points: FloatArray, outcomes: FloatArray) -> IndexArray:

@@ -141,7 +141,7 @@ def test_corrected_coarse_spectra_have_the_slope_of_the_fine_ones() -> None:
     points = np.tile(point * 1.001, (3, 1))
     before, after = coarsened(fine, 8), coarsened(fine, 8)
     spaces = workspace_for(size, 2, GRID_NM.size), workspace_for(size, 2, after.data.shape[1], np.float32)
-    correct(fine, after, 8, problem, problem.in_singles(), points, spaces)
+    correct(fine, after, 8, problem, points, spaces)
 
     def slope(spectra: Channels, row: int) -> tuple[np.ndarray, np.ndarray]:
         own = min(row, len(spectra.wavelength) - 1)

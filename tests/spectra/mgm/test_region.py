@@ -24,6 +24,7 @@ from lunarsci.spectra.mgm.levenberg_marquardt import (
     Channels,
     DescentOptions,
     FitProblem,
+    Linearised,
     descend,
     workspace_for,
 )
@@ -148,7 +149,7 @@ def test_a_descent_that_will_stay_above_its_bar_is_given_up(ground: strips.Strip
         found = np.empty((64, 4))
         descend(
             spectra, np.full(64, channels), problem_of(MODEL), DescentOptions(False, 1e-3, 1e-4, 1000), np.arange(64),
-            starts.copy(), found, workspace_for(size, MODEL.degrees, int(channels)), np.empty((0, size, size)), bars,
+            starts.copy(), found, workspace_for(size, MODEL.degrees, int(channels)), Linearised.of(size), bars,
         )  # fmt: skip
         return found
 
@@ -179,7 +180,7 @@ def descended(problem: FitProblem, spectra: Channels, starts: FloatArray, option
     points, outcomes, size = np.array(starts), np.empty((len(starts), 4)), starts.shape[1]
     descend(
         spectra, np.full(len(starts), 85.0), problem, options, np.arange(len(starts)), points, outcomes,
-        workspace_for(size, problem.degrees, 85), np.empty((0, size, size)), np.empty(0),
+        workspace_for(size, problem.degrees, 85), Linearised.of(size), np.empty(0),
     )  # fmt: skip
     assert (outcomes[:, 3] == CONVERGED).all()
     return np.column_stack([points, outcomes])
