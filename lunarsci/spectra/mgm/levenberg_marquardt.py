@@ -21,7 +21,6 @@ from lunarsci.compiled.formulas import LANES
 from lunarsci.compiled.lanes import aligned, load, spread, store
 from lunarsci.spectra.mgm.forward import (
     BLOCK,
-    FWHM_OVER_SIGMA,
     clip_to_bounds,
     damped,
     evaluate,
@@ -508,9 +507,8 @@ def linearised(
     """Residuals and slopes at `points`, (n, p), of as many spectra, and where asked for the curvatures; by descents
     that do not move."""
     count, size = points.shape
-    ends = Linearised(
-        np.empty((count if curved else 0, size, size)), np.empty((count, size)), np.empty(spectra.data.shape)
-    )
+    curvatures = np.empty((count if curved else 0, size, size))
+    ends = Linearised(curvatures, np.empty((count, size)), np.empty(spectra.data.shape))
     outcomes, options = np.empty((count, 4)), DescentOptions(False, FIRST_DAMPING, math.inf, 0)
     rows, weighed = np.arange(count), np.full(count, np.inf)
     descend(spectra, weighed, problem, options, rows, np.array(points), outcomes, space, ends, np.empty(0))
@@ -683,15 +681,8 @@ class Multistart:
 
     def _patterned(self, rows: IndexArray) -> FloatArray:
         """Chi-square of the best that neighbouring coarse channels have in common, (n,): near 0 where it is noise."""
-        spectra, m = self.coarse.part(rows), self.problem.degrees
-        bands = self.best[rows, m:].reshape(rows.size, (self.best.shape[1] - m) // 3, 3, 1)
-        x = (spectra.wavelength[:, None] - bands[:, :, 0]) * FWHM_OVER_SIGMA / bands[:, :, 1]
-        level = np.einsum(
-            "rm,rmn->rn", self.best[rows, :m], np.broadcast_to(spectra.basis, (rows.size, *spectra.basis.shape[1:]))
-        )
-        model = level if self.problem.logarithmic else np.log(level)
-        model += (np.exp(x * x * -0.5) * bands[:, :, 2]).sum(axis=1)
-        residuals = (spectra.data - model) * spectra.root_weight
+        spectra = self.coarse.part(rows)
+        residuals = linearised(spectra, self.coarse_problem, self.best[rows], self.coarse_space).residuals
         return np.asarray((residuals[:, 1:] * residuals[:, :-1]).sum(axis=1))
 
     def _hopped(self, rows: IndexArray, hops: FloatArray) -> IndexArray:
@@ -737,9 +728,8 @@ class Multistart:
 
     def _finish(self, rows: IndexArray, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Where points lead to on all channels, the outcomes and the covariances."""
-        there = Linearised.of(points.shape[1], len(rows))
         options = DescentOptions(False, LATER_DAMPING, self.tolerance, self.max_iterations)
-        ends, outcomes = np.array(points), np.empty((len(rows), 4))
+        there, ends, outcomes = Linearised.of(points.shape[1], len(rows)), np.array(points), np.empty((len(rows), 4))
         descend(
             self.fine, self.counts[0], self.problem, options, rows, ends, outcomes, self.fine_space, there,
             np.empty(0),
