@@ -4,10 +4,11 @@ Importing a module of compiled functions costs nothing of numba, which takes a t
 needed by the help of a command. `machine_code` says how the code is kept, and why all processes get the same digits.
 """
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import update_wrapper
-from threading import RLock
+from threading import RLock, local
 from types import CellType, CodeType, FunctionType
 from typing import Any
 
@@ -15,12 +16,23 @@ VECTORS = {"reassoc", "contract", "nsz", "arcp"}
 """`fastmath` that lets sums become vector instructions and still knows infinity and NaN."""
 LANE_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz"}}
 """Options of `in_lanes`."""
+PLAIN = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
+"""Whether functions run as plain Python."""
 _MAKING = RLock()
-"""Held while dispatchers are made: threads may call a function for the first time together."""
+"""Held while code is made or loaded: threads may call a function for the first time together."""
+
+
+class _Threads(local):
+    """Of each thread of Python's: how many it computes in; 0: as many as there are processors for this process."""
+
+    count = int(os.environ.get("NUMBA_NUM_THREADS") or 0)
+
+
+_THREADS = _Threads()
 
 
 class Compiled:
-    """A function that is compiled with numba when it is first called; what else is asked of it, numba's has.
+    """A function that is compiled with numba when it is first called, and not already kept for such arguments.
 
     The compiled functions that it names are parts of its machine code: numba finds their types once, and code is
     optimised once, for the function that Python calls.
@@ -33,33 +45,48 @@ class Compiled:
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
         update_wrapper(self, function)
-        self._options, self._ready = options, False
-        self._dispatchers: dict[bool, Any] = {}
+        self._function, self._options, self._part = function, options, None
+        self.entries: dict[Any, Callable[[Sequence[Any]], Any]] = {}
 
     def __call__(self, *arguments: Any) -> Any:
-        return (self._dispatchers[False] if self._ready else self.dispatcher())(*arguments)
+        if PLAIN:
+            return self._function(*arguments)
+        return self._entry(arguments)(arguments)
 
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        return getattr(self.dispatcher(), name)
+    def __reduce__(self) -> str:
+        return self._function.__qualname__
 
-    def __reduce__(self) -> Any:
-        return self.dispatcher().__reduce__()
+    def _entry(self, arguments: Sequence[Any]) -> Callable[[Sequence[Any]], Any]:
+        """Machine code for arguments like these."""
+        from lunarsci.compiled.kept import Entry, entry_name, kind_of, load, save
 
-    def dispatcher(self, part: bool = False) -> Any:
-        """What numba compiles and calls, or, as a `part`, what it makes a part of other functions; made once each."""
-        from lunarsci.compiled.machine_code import dispatcher
+        kinds = tuple(map(kind_of, arguments))
+        if found := self.entries.get(kinds):
+            return found
+        with _MAKING:
+            if kinds not in self.entries:
+                source, name = self._function.__code__.co_filename, entry_name(self._function, self._options, kinds)
+                source = "" if self._function.__closure__ else source  # what it holds is in no file
+                entry = load(name, source)
+                if entry is None:
+                    from lunarsci.compiled import machine_code
+
+                    code, about = machine_code.entry(name, self.part(), arguments)
+                    save(name, source, code, about)
+                    entry = Entry(name, code, about)
+                self.entries[kinds] = entry
+        return self.entries[kinds]
+
+    def part(self) -> Any:
+        """What numba makes a part of other functions."""
+        from lunarsci.compiled.machine_code import part_of_others
 
         with _MAKING:
-            if part not in self._dispatchers:
-                function, put_callees = _with_places(self.__dict__["__wrapped__"])
-                made = self._dispatchers[part] = dispatcher(function, self._options, part)
+            if self._part is None:
+                function, put_callees = _with_places(self._function)
+                self._part = part_of_others(function, self._options)
                 put_callees()
-                if not part:  # called as plain Python it calls what the module has
-                    made.py_func = self.__dict__["__wrapped__"]
-                self._ready = self._ready or not part
-        return self._dispatchers[part]
+        return self._part
 
 
 def _with_places(function: Callable[..., Any]) -> tuple[Callable[..., Any], Callable[[], None]]:
@@ -74,10 +101,10 @@ def _with_places(function: Callable[..., Any]) -> tuple[Callable[..., Any], Call
     def put_callees() -> None:
         for name in names & namespace.keys():
             if isinstance(namespace[name], Compiled):
-                namespace[name] = namespace[name].dispatcher(part=True)
+                namespace[name] = namespace[name].part()
         for cell in cells:
             if isinstance(cell.cell_contents, Compiled):
-                cell.cell_contents = cell.cell_contents.dispatcher(part=True)
+                cell.cell_contents = cell.cell_contents.part()
 
     return update_wrapper(copy, function), put_callees
 
@@ -101,9 +128,13 @@ def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
 
 def threads() -> int:
     """Threads that compiled code computes in."""
-    import numba
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return _THREADS.count or usable
 
-    return int(numba.get_num_threads())
+
+def set_threads(count: int) -> None:
+    """Let compiled code that this thread calls compute in so many; 0: as many as there are processors for the process."""
+    _THREADS.count = count
 
 
 def in_lanes(function: Callable[..., Any], **options: Any) -> Any:

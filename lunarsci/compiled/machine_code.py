@@ -1,52 +1,41 @@
-"""Machine code of numba's: made once, the same wherever it comes from, and kept on disk.
+"""Machine code of numba's: made once, and the same wherever it comes from.
 
-**Parts.** Numba optimises every function, and again all that it calls, and writes machine code for each, though Python
-calls few of them. Here what compiled functions call is optimised and written as a part of these alone.
+**Parts.** Numba optimises every function, and again all that it calls, and writes machine code for each with what calls
+it from Python, though Python calls few of them. Here all is a part of an `entry`, which reads its arguments as `kept`
+lays them out: it is optimised and written once.
 
 **The same digits.** A function that numba compiles carries copies of the functions it calls, and every copy is
 optimised where it stands, so that two copies may round differently. As numba makes them, the copies are weak symbols:
-the process that compiles uses whichever copy it loaded first, one that reads the cache the function's own. Here each
-function keeps its own copies to itself.
-
-**The cache.** Numba renews a cached function when its own file changes. Here it is renewed when any file changes that
-its own one imports, and compiled again where its entry is cut off or was changed. It is read by pickle, so that whoever
-may write it runs what he likes: a folder that others can write is not used.
+the process that compiles uses whichever copy it loaded first. Here each entry keeps its own copies to itself, and
+whoever compiles runs what later processes read.
 
 It is our own since numba promises neither.
 """
 
-import contextlib
-import hashlib
-import os
-import pickle
-import re
-import stat
-import time
-import warnings
-from collections.abc import Callable
-from functools import cache
-from pathlib import Path
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import count
 from typing import Any
 
 import llvmlite.binding as llvm
 import numba
-from numba.core.caching import IndexDataCacheFile
+from llvmlite import ir
+from numba.core import types
+from numba.core.cgutils import get_or_insert_function
 from numba.core.codegen import CPUCodeLibrary, JITCodeLibrary
 from numba.core.compiler import Compiler
+from numba.core.compiler_lock import global_compiler_lock
+from numba.np.arrayobj import populate_array
+from numba.np.numpy_support import as_dtype
 
+from lunarsci.compiled.formulas import DOUBLE, INTEGER
 from lunarsci.compiled.instructions import offer_all
-from lunarsci.errors import LunarSciWarning
 
-PACKAGE = Path(__file__).parents[1]
-"""Folder of lunarsci, whose files are followed."""
-IMPORTS = re.compile(r"^\s*from\s+(lunarsci[\w.]*)\s+import\s+(\([^)]*\)|[^#\n]*)|^\s*import\s+(lunarsci[\w.]*)", re.M)
-"""An import statement of this package: of names from a module, or of a module."""
-DIGEST_BYTES = 32
-"""Of SHA-256, in front of a cached entry."""
-BEGAN = time.time()
-"""About when this process began to read its sources: what is newer need not be what it compiles. [s]"""
-ROOT = 0
-"""Number of the user who may write everywhere."""
+POINTER, STATUS, WORD = ir.IntType(8).as_pointer(), ir.IntType(32), 8
+"""LLVM's types of any place and of a status, and bytes of a slot."""
+ROOM = 6 * WORD
+"""Bytes of what numba keeps of an array in front of its numbers: count of uses, how it ends (2), place, size,
+allocator; `numba/core/runtime/nrt.h`."""
 
 
 class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
@@ -77,227 +66,144 @@ class _PartCompiler(Compiler):  # type: ignore[misc]
         super().__init__(typing, target, library or _PartLibrary(target.codegen(), "part"), *others)
 
 
-def _of_plain_types(part: Any) -> Any:
-    """Numba would compile a function anew for every constant that it is called with."""
-    if hasattr(part, "get_call_template"):  # unless it is to stay plain Python
+def part_of_others(function: Callable[..., Any], options: Mapping[str, Any]) -> Any:
+    """What numba makes of a function that compiled functions call, whose machine code it becomes a part of."""
+    offer_all()
+    bare = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": _PartCompiler}
+    part = numba.njit(**options, **bare)(function)
+    if hasattr(part, "get_call_template"):  # numba would compile it anew for every constant that it is called with
         original = part.get_call_template
         part.get_call_template = lambda args, kws: original(tuple(map(numba.types.unliteral, args)), kws)
     return part
 
 
-def dispatcher(function: Callable[..., Any], options: dict[str, Any], part: bool = False) -> Any:
-    """What numba makes of a function: compiled at its first call, from the cache where that is safe.
+@global_compiler_lock  # type: ignore[untyped-decorator]
+def entry(name: str, part: Any, arguments: Sequence[Any]) -> tuple[bytes, dict[str, Any]]:
+    """An object file with what Python calls for arguments like these, and what `Entry` has to know of it.
 
-    A `part` can be called by compiled functions alone, whose machine code it becomes a part of.
+    Parameters
+    ----------
+    name : symbol of the entry.
+    part : of `part_of_others`.
+    arguments : examples of what it is called with.
     """
-    offer_all()
-    keep_copies_apart()
-    if part:
-        bare = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": _PartCompiler}
-        return _of_plain_types(numba.njit(**options, **bare)(function))
-    try:
-        made = numba.njit(cache=True, **options)(function)
-    except RuntimeError:
-        return numba.njit(**options)(function)
-    if _is_open_to_others(made, Path(function.__code__.co_filename)):
-        return numba.njit(**options)(function)
-    tend_cache(made)
-    return made
+    kinds = tuple(part.typeof_pyval(value) for value in arguments)
+    part.compile(kinds)
+    made = part.overloads[kinds]
+    module, context = ir.Module(name), made.target_context
+    called = ir.Function(module, ir.FunctionType(STATUS, [INTEGER.as_pointer()] * 2), name)
+    builder = ir.IRBuilder(called.append_basic_block())
+    given, room = (_places(builder, slots) for slots in called.args)
+    values = [_read(context, builder, kind, given) for kind in kinds]
+    native, kind = context.declare_function(module, made.fndesc), made.signature.return_type
+    status, value = context.call_conv.call_function(builder, native, kind, kinds, values)
+    with builder.if_then(builder.not_(status.is_error)):
+        result = _write(context, builder, kind, value, room)
+    builder.ret(builder.zext(status.is_error, STATUS))
+    if '"dimensions"' in json.dumps(result):
+        release = ir.Function(module, ir.FunctionType(ir.VoidType(), [POINTER]), f"{name}_release")
+        builder = ir.IRBuilder(release.append_basic_block())
+        builder.call(get_or_insert_function(module, release.function_type, "NRT_decref"), release.args)
+        builder.ret_void()
+    code, symbols = _translated(context.codegen(), made.library, module)
+    return code, {"result": result, "symbols": symbols}
 
 
-def _is_open_to_others(dispatcher: Any, source: Path) -> bool:
-    """Whether others may have written the cache of a function; said once. Beside the sources it is as safe as these."""
-    beside = source.parent / "__pycache__"
-    folder = Path(getattr(getattr(dispatcher, "_cache", None), "_cache_path", beside))
-    if folder == beside:
-        return False
-    why = why_unsafe(folder) or why_unsafe(folder.parent, shared=True)
-    if why:
-        _tell(f"{why}: compiled code is not kept there; set NUMBA_CACHE_DIR to a folder that only you can write")
-    return bool(why)
+def _places(builder: ir.IRBuilder, slots: ir.Value) -> Iterator[ir.Value]:
+    """Of one slot after the other, each written where the builder is by then."""
+    return (builder.gep(slots, [INTEGER(number)]) for number in count())
 
 
-def why_unsafe(folder: Path, shared: bool = False) -> str:
-    """What lets another user but root put files into a folder, or, where it may be `shared`, replace yours; '' if none.
-
-    The group that bears the user's name is the user's own.
-    """
-    if not hasattr(os, "getuid"):
-        return ""
-    status = folder.stat()
-    if status.st_uid not in (ROOT, os.getuid()):
-        return f"{folder} belongs to another user"
-    others = status.st_mode & stat.S_IWOTH or (status.st_mode & stat.S_IWGRP and not _is_private_group(status.st_gid))
-    sticky = shared and status.st_mode & stat.S_ISVTX
-    return f"{folder} can be written by others" if others and not sticky else ""
-
-
-def _is_private_group(number: int) -> bool:
-    """Whether a group bears the user's name and has no other member."""
-    import grp
-    import pwd
-
-    with contextlib.suppress(KeyError):
-        name, group = pwd.getpwuid(os.getuid()).pw_name, grp.getgrgid(number)
-        return group.gr_name == name and set(group.gr_mem) <= {name}
-    return False
+def _read(context: Any, builder: ir.IRBuilder, kind: Any, places: Iterator[ir.Value]) -> ir.Value:
+    """An argument, as numba has it, of as many slots as `kept` lays it out in."""
+    if isinstance(kind, types.BaseTuple):  # type: ignore[attr-defined]
+        return context.make_tuple(builder, kind, [_read(context, builder, part, places) for part in kind])
+    if isinstance(kind, types.NoneType):  # type: ignore[attr-defined]
+        return context.get_dummy_value()
+    number = builder.load(next(places))
+    if isinstance(kind, types.Array):
+        array = context.make_array(kind)(context, builder)
+        shape, strides = ([builder.load(next(places)) for _ in range(kind.ndim)] for _ in range(2))
+        size = INTEGER(context.get_abi_sizeof(context.get_data_type(kind.dtype)))
+        place = builder.inttoptr(number, array.data.type)
+        populate_array(array, data=place, shape=shape, strides=strides, itemsize=size, meminfo=None)
+        return array._getvalue()
+    if isinstance(kind, types.Float):
+        return context.cast(builder, builder.bitcast(number, DOUBLE), types.float64, kind)
+    if isinstance(kind, types.Boolean):
+        return builder.icmp_unsigned("!=", number, INTEGER(0))
+    if isinstance(kind, types.Integer):
+        return context.cast(builder, number, types.int64, kind)
+    raise TypeError(f"compiled code cannot be called with {kind} from Python")
 
 
-@cache
-def _tell(remark: str) -> None:
-    """Warn of it, once in a process."""
-    warnings.warn(remark, LunarSciWarning, stacklevel=2)
+def _write(context: Any, builder: ir.IRBuilder, kind: Any, value: ir.Value, places: Iterator[ir.Value]) -> Any:
+    """Put what a function gave into slots; what `Entry` has to know of it."""
+    if isinstance(kind, types.NoneType):  # type: ignore[attr-defined]
+        return None
+    if isinstance(kind, types.BaseTuple):  # type: ignore[attr-defined]
+        parts = [builder.extract_value(value, number) for number in range(len(kind))]
+        return [_write(context, builder, part, one, places) for part, one in zip(kind, parts, strict=True)]
+    if isinstance(kind, types.Array):
+        array = context.make_array(kind)(context, builder, value)
+        sizes = [builder.extract_value(part, k) for part in (array.shape, array.strides) for k in range(kind.ndim)]
+        for slot in (*(builder.ptrtoint(one, INTEGER) for one in (array.meminfo, array.data)), *sizes):
+            builder.store(slot, next(places))
+        return {"numbers": as_dtype(kind.dtype).str, "dimensions": kind.ndim}
+    if isinstance(kind, types.Float):
+        builder.store(builder.bitcast(context.cast(builder, value, kind, types.float64), INTEGER), next(places))
+        return "d"
+    if isinstance(kind, types.Boolean):
+        builder.store(builder.zext(value, INTEGER), next(places))
+        return "?"
+    if isinstance(kind, types.Integer):
+        builder.store(context.cast(builder, value, kind, types.int64), next(places))
+        return "q"
+    raise TypeError(f"compiled code cannot give {kind} to Python")
 
 
-def keep_copies_apart() -> None:
-    """Make functions that numba compiles from now on keep their copies of others to themselves.
-
-    Where numba's inside is another than is known here, it is left as it is; then last digits may depend on what was
-    compiled or loaded before.
-    """
-    original = getattr(CPUCodeLibrary, "_optimize_final_module", None)
-    if original is None or getattr(original, "keeps_copies_apart", False):
-        return
-
-    def optimized(library: Any) -> None:
-        _link_parts(library)
-        if any(function.name.startswith("NRT_") for function in library._final_module.functions):
-            original(library)
-        else:  # numba optimises everything twice so that few uses are left to be counted
-            manager, builder = library._codegen._module_pass_manager()
-            manager.run(library._final_module, builder)
-        with contextlib.suppress(AttributeError):
-            _keep_to_itself(library)
-
-    optimized.keeps_copies_apart = True  # type: ignore[attr-defined]
-    CPUCodeLibrary._optimize_final_module = optimized
-
-
-def _link_parts(library: Any) -> None:
-    """Bring in what the parts of a library call in turn."""
-    wanted = list(library._linking_libraries)
-    reached = set(wanted)
-    while wanted:
-        callee = wanted.pop()
-        for other in callee._linking_libraries if isinstance(callee, _PartLibrary) else ():
-            if other not in reached:
-                reached.add(other)
-                wanted.append(other)
-                library._final_module.link_in(other._get_module_for_linking(), preserve=True)
-
-
-def _keep_to_itself(library: Any) -> None:
-    """Weak copies become the module's own; what other functions will copy is put aside before."""
-    module = library._final_module
-    shared = module.clone()
-    for function in shared.functions:
-        if not function.is_declaration and function.linkage == llvm.Linkage.external:
-            function.linkage = llvm.Linkage.linkonce_odr
-    library._shared_module = shared
+def _translated(codegen: Any, part: Any, entry: ir.Module) -> tuple[bytes, list[str]]:
+    """An entry with all of its parts as an object file, and names of what it calls elsewhere."""
+    library = _PartLibrary(codegen, entry.name)
+    library.add_ir_module(entry)
+    module, wanted, exported = library._final_module, [part], {one.name for one in entry.functions if one.blocks}
+    for one in wanted:
+        module.link_in(one._get_module_for_linking(), preserve=True)
+        callees = one._linking_libraries if isinstance(one, _PartLibrary) else ()
+        wanted += [callee for callee in dict.fromkeys(callees) if callee not in wanted]
+    if any(function.name.startswith("NRT_") for function in module.functions):
+        module.link_in(llvm.parse_assembly(str(_runtime())))
+        CPUCodeLibrary._optimize_final_module(library)
+    else:  # numba optimises everything twice so that few uses are left to be counted
+        manager, builder = codegen._module_pass_manager()
+        manager.run(module, builder)
     for function in module.functions:
-        if not function.is_declaration and function.linkage == llvm.Linkage.linkonce_odr:
+        if not function.is_declaration and function.name not in exported:
             function.linkage = llvm.Linkage.internal
+    outside = {one.name for one in module.functions if one.is_declaration and not one.name.startswith("llvm.")}
+    return codegen._tm.emit_object(module), sorted(outside)
 
 
-def tend_cache(dispatcher: Any) -> None:
-    """Give a function that numba caches a cache that knows all its sources and notices damage."""
-    with contextlib.suppress(AttributeError):
-        cache, base = dispatcher._cache, dispatcher._cache._impl.filename_base
-        cache._cache_file = _Entries(cache._cache_path, base, dispatcher.py_func.__code__.co_filename)
-
-
-class _Entries(IndexDataCacheFile):  # type: ignore[misc]
-    """Index and machine code of one function, each entry with a digest."""
-
-    def __init__(self, cache_path: str, filename_base: str, source: str) -> None:
-        super().__init__(cache_path, filename_base, None)
-        self._source = source
-
-    @property
-    def _source_stamp(self) -> str:
-        return sources_digest(self._source)
-
-    @_source_stamp.setter
-    def _source_stamp(self, value: object) -> None:
-        """Numba's own stamp, of one file, is of no use."""
-
-    def save(self, key: Any, data: Any) -> None:
-        """Keep an entry; a full disk or a folder that went read-only is no reason to fail."""
-        if changed_since(self._source, BEGAN):
-            return
-        with contextlib.suppress(OSError):
-            super().save(key, data)
-
-    def _load_index(self) -> Any:
-        if changed_since(self._source, BEGAN):
-            return {}
-        try:
-            return super()._load_index()
-        except Exception:  # whatever a damaged pickle raises, the function is compiled anew
-            return {}
-
-    def _load_data(self, name: str) -> Any:
-        stored = Path(self._data_path(name)).read_bytes()
-        payload = stored[DIGEST_BYTES:]
-        if stored[:DIGEST_BYTES] != self._digest(payload):
-            raise OSError("not as it was written")  # to numba: no such entry
-        return pickle.loads(payload)
-
-    def _save_data(self, name: str, data: Any) -> None:
-        payload = self._dump(data)
-        with self._open_for_write(self._data_path(name)) as file:
-            file.write(self._digest(payload) + payload)
-
-    def _digest(self, payload: bytes) -> bytes:
-        return hashlib.sha256(self._source_stamp.encode() + payload).digest()
-
-
-@cache
-def sources_digest(source: str) -> str:
-    """SHA-256 over the `sources` of a file."""
-    whole = hashlib.sha256()
-    for path in sources(source):
-        whole.update(path.name.encode() + _content(path))
-    return whole.hexdigest()
-
-
-def changed_since(source: str, moment_s: float) -> bool:
-    """Whether one of the `sources` of a file was changed, or taken away, after a moment of the clock."""
-    try:
-        return any(path.stat().st_mtime > moment_s for path in sources(source))
-    except OSError:
-        return True
-
-
-@cache
-def sources(source: str) -> tuple[Path, ...]:
-    """A file of this package and all of the package that it imports, directly or not, in order."""
-    reached, wanted = {Path(source)}, [Path(source)]
-    while wanted:
-        for path in _imported(wanted.pop()) - reached:
-            reached.add(path)
-            wanted.append(path)
-    return tuple(sorted(reached))
-
-
-@cache
-def _content(path: Path) -> bytes:
-    """Of a file, empty where there is none."""
-    return path.read_bytes() if path.is_file() else b""
-
-
-@cache
-def _imported(path: Path) -> frozenset[Path]:
-    """Files of this package that a file names in its import statements, wherever they stand."""
-    names = set()
-    for origin, what, alone in IMPORTS.findall(_content(path).decode("utf-8", errors="replace")):
-        module = origin or alone
-        names |= {module, *(f"{module}.{name}" for name in re.findall(r"\w+", what))}
-    files = (_files_of(name.split(".")[1:]) for name in names)
-    return frozenset(path for both in files for path in both if path.is_file())
-
-
-def _files_of(parts: list[str]) -> tuple[Path, Path]:
-    """Files that the parts of a name after `lunarsci` may stand for: a module, and a package."""
-    place = PACKAGE.joinpath(*parts)
-    return place.with_name(f"{place.name}.py"), place / "__init__.py"
+def _runtime() -> ir.Module:
+    """What code of numba's calls to make and end arrays, of the system's own memory."""
+    module, size, nothing = ir.Module("runtime"), INTEGER, ir.VoidType()
+    malloc = ir.Function(module, ir.FunctionType(POINTER, [size]), "malloc")
+    free = ir.Function(module, ir.FunctionType(nothing, [POINTER]), "free")
+    for name in ("NRT_MemInfo_call_dtor", "NRT_Free"):
+        ending = ir.Function(module, free.function_type, name)
+        builder = ir.IRBuilder(ending.append_basic_block())
+        builder.call(free, ending.args)
+        builder.ret_void()
+    making = ir.Function(module, ir.FunctionType(POINTER, [size, ir.IntType(32)]), "NRT_MemInfo_alloc_aligned")
+    builder = ir.IRBuilder(making.append_basic_block())
+    alignment = builder.zext(making.args[1], size)
+    place = builder.call(malloc, [builder.add(builder.add(making.args[0], alignment), size(ROOM))])
+    with builder.if_then(builder.icmp_unsigned("!=", place, POINTER(None))):
+        first = builder.add(builder.ptrtoint(place, size), builder.add(alignment, size(ROOM - 1)))
+        words = builder.bitcast(place, size.as_pointer())
+        builder.store(size(1), words)
+        data = builder.and_(first, builder.neg(alignment))
+        for number, value in ((1, size(0)), (2, size(0)), (3, data), (4, making.args[0]), (5, size(0))):
+            builder.store(value, builder.gep(words, [size(number)]))
+    builder.ret(place)
+    return module

@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import requires
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any, ClassVar
 
 from lunarsci.provenance import installed_version
@@ -107,21 +106,14 @@ def _extra(name: str) -> HealthCheck:
 
 
 def _cache() -> HealthCheck:
-    """The folder of compiled code: NUMBA_CACHE_DIR, or beside the modules."""
-    import lunarsci
-    from lunarsci.compiled.machine_code import why_unsafe
+    """The folder of compiled code."""
+    from lunarsci.compiled.kept import cache_folder, safe_folder
 
-    named = os.environ.get("NUMBA_CACHE_DIR")
-    folder = Path(named) if named else Path(lunarsci.__file__).parent
-    files = [path for path in folder.rglob("*.nb[ci]") if path.is_file()] if folder.is_dir() else []
-    size = sum(path.stat().st_size for path in files) / 1e6
-    there = next(path for path in (folder, *folder.parents) if path.is_dir())
-    trouble = why_unsafe(there, shared=there != folder) if named else ""
-    if not os.access(there, os.W_OK):
-        trouble = "cannot be written to"
-    if trouble:
-        trouble += ", so that every run compiles anew; set NUMBA_CACHE_DIR to a folder that only you can write"
-    return HealthCheck("installation", "compiled code", f"{folder}: {len(files)} files, {size:.0f} MB", trouble)
+    folder, usable = cache_folder(), safe_folder() is not None and os.access(cache_folder(), os.W_OK)
+    sizes = [path.stat().st_size / 1e6 for path in (folder.glob("*-*") if usable else ())]
+    remedy = "every run compiles anew; set NUMBA_CACHE_DIR to a folder that only you can write"
+    trouble = "" if usable else f"cannot be written to, or others can write there, so that {remedy}"
+    return HealthCheck("installation", "compiled code", f"{folder}: {len(sizes)} files, {sum(sizes):.0f} MB", trouble)
 
 
 def _threads() -> HealthCheck:

@@ -26,7 +26,7 @@ from typing import IO, Any, TypeAlias
 import numpy as np
 
 from lunarsci.arrays import spans
-from lunarsci.compiled import threads
+from lunarsci.compiled import set_threads, threads
 from lunarsci.errors import OutputError, RequestError, TakenError
 from lunarsci.parallel.dask_cluster import build, connect, on_cluster
 from lunarsci.result import Progress
@@ -409,9 +409,7 @@ def _in_threads(
 
 
 def _compute_alone() -> None:
-    import numba
-
-    numba.set_num_threads(1)
+    set_threads(1)
 
 
 def blocks_in_order(

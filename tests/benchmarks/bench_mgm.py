@@ -18,6 +18,7 @@ import lmfit
 import numpy as np
 from scipy.optimize import least_squares
 
+from lunarsci.compiled import set_threads
 from lunarsci.spectra.mgm.batch import problem_of
 from lunarsci.spectra.mgm.fit import fit_batch, hops_of, starting_points
 from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA, model_and_jacobian
@@ -139,9 +140,7 @@ def scipy_rate(case: Problem, count: int) -> tuple[float, np.ndarray]:
 
 def kernel_rate(case: Problem, starts: int, hops: np.ndarray) -> tuple[float, np.ndarray]:
     """Fits per second by the kernel in one thread, and the objectives reached."""
-    import numba
-
-    numba.set_num_threads(1)
+    set_threads(1)
     columns, root = np.ascontiguousarray(case.basis.T)[None], np.full(case.data.shape, 1 / NOISE)
     spectra, problem = Channels(case.wavelength_nm[None] / 1e3, columns, case.data, root), problem_of(case.model)
     points = starting_points(case.model, case.data, starts)

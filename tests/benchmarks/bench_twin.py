@@ -10,9 +10,9 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import numba
 import numpy as np
 
+from lunarsci.compiled import compiled, set_threads, threads
 from lunarsci.regolith.forces import wheel_forces_kernel
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.synthetic import synthetic_longji
@@ -40,7 +40,7 @@ def drive(members: int, dt: float) -> Prediction:
     return predict(ROVER, TERRAIN, PLAN, members=members, seed=1, time_step_s=dt)
 
 
-@numba.njit
+@compiled
 def forces_of(wheels: np.ndarray, tyre: tuple, soil: tuple) -> float:
     total = 0.0
     for z, travel, lateral in wheels:
@@ -79,21 +79,21 @@ def main() -> None:
     """Print times and ratios."""
     ends = drive(CHECKED, 0.001).endpoints_m
     drive(16, 0.1)
-    threads = numba.get_num_threads()
+    count = threads()
     for dt in (0.05, 0.1, 0.2):
         error = np.hypot(*(drive(CHECKED, dt).endpoints_m - ends).T)
         many = seconds(lambda dt=dt: drive(MEMBERS, dt))
         print(
-            f"step {dt:g} s: {MEMBERS} drives in {many:.2f} s on {threads} threads, ends off by "
+            f"step {dt:g} s: {MEMBERS} drives in {many:.2f} s on {count} threads, ends off by "
             f"{1e3 * np.median(error):.2f} mm (median), {1e3 * error.max():.2f} mm at most, against 1 ms"
         )
-    own = seconds(lambda: drive(MEMBERS, 0.1)) * threads / MEMBERS
+    own = seconds(lambda: drive(MEMBERS, 0.1)) * count / MEMBERS
     print(f"one drive alone: {1e3 * seconds(lambda: predict(ROVER, TERRAIN, PLAN, sweep=(), time_step_s=0.2)):.0f} ms")
-    numba.set_num_threads(1)
+    set_threads(1)
     one = drive(40, 0.1).endpoints_m
-    numba.set_num_threads(threads)
+    set_threads(0)
     same = np.array_equal(one, drive(40, 0.1).endpoints_m)
-    print(f"ends of 40 members by 1 and {threads} threads equal to the bit: {same}")
+    print(f"ends of 40 members by 1 and {count} threads equal to the bit: {same}")
     step = mujoco_step_s()
     if step is not None:
         theirs = step * DURATION_S / 0.002

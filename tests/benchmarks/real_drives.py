@@ -30,12 +30,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 from scipy.optimize import minimize_scalar
 
+from lunarsci.compiled import set_threads
 from lunarsci.errors import DataError
 from lunarsci.io.inputs import InputFile
 from lunarsci.regolith.soil import read_soil
@@ -363,7 +363,7 @@ def main() -> None:
     if not root:
         raise SystemExit("set LUNARSCI_REFERENCE_DATA to the folder of measured data")
     warnings.simplefilter("ignore")
-    numba.set_num_threads(1)
+    set_threads(1)
     folder = Path(root) / "drives"
     pieces = (warthog_pieces(folder, given) + husky_pieces(folder, given))[: given.count]
     case(pieces[0])

@@ -7,7 +7,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import numba
+from lunarsci.compiled import set_threads
 
 Row = dict[str, Any]
 
@@ -25,7 +25,7 @@ def rows_of(*files: Path | None) -> list[Row]:
 
 def alone() -> None:
     """Settings of a process that computes beside others."""
-    numba.set_num_threads(1)
+    set_threads(1)
     warnings.simplefilter("ignore")
 
 

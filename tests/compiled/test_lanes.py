@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from lunarsci.compiled import LANE_OPTIONS, compiled, lanes
+from lunarsci.compiled.instructions import offer_all
 from lunarsci.compiled.lanes import (
     aligned,
     arcsin,
@@ -36,6 +37,7 @@ def looped(function: Any) -> Any:
         for i in range(len(x)):
             out[i] = function(x[i])
 
+    offer_all()
     return loop
 
 

@@ -8,12 +8,12 @@ The benchmark of images measures what it says.
 from functools import cache
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 import strips
 
 from lunarsci.arrays import FloatArray
+from lunarsci.compiled import set_threads
 from lunarsci.errors import ParameterError
 from lunarsci.spectra.mgm.batch import NOT_FITTED, FitBatch, channels_of, problem_of
 from lunarsci.spectra.mgm.data import prepare_rows
@@ -105,13 +105,13 @@ def test_with_contests_everywhere_no_minimum_is_higher() -> None:
 def test_tiles_know_nothing_of_each_other(ground: strips.Strip, found: RegionFits) -> None:
     """Neither blocks, nor threads, nor the order of pixels change a bit."""
     reflectance, places = pixels(ground)
-    rng, threads = np.random.default_rng(0), numba.get_num_threads()
+    rng = np.random.default_rng(0)
     part = rng.permutation(np.flatnonzero(places[:, 1] // TILE != 1))
-    numba.set_num_threads(1)
+    set_threads(1)
     try:
         again = fit_region(ground.wavelength_nm, reflectance[part], places[part], MODEL)
     finally:
-        numba.set_num_threads(threads)
+        set_threads(0)
     assert np.array_equal(again.batch.values, found.batch.values[part])
     assert np.array_equal(again.batch.sigma, found.batch.sigma[part])
     assert np.array_equal(again.origin, found.origin[part])

@@ -3,10 +3,10 @@
 import dataclasses
 import itertools
 
-import numba
 import numpy as np
 import pytest
 
+from lunarsci.compiled import set_threads
 from lunarsci.errors import ParameterError
 from lunarsci.twin.figures.prediction import path_fan
 from lunarsci.twin.ground.synthetic import synthetic_longji
@@ -41,12 +41,11 @@ def broken(yutu2: Rover, ground: Terrain) -> Prediction:
 
 
 def test_any_number_of_threads_gives_the_same_bits(yutu2: Rover, ground: Terrain, prediction: Prediction) -> None:
-    before = numba.get_num_threads()
     try:
-        numba.set_num_threads(1)
+        set_threads(1)
         alone = predict(yutu2, ground, read_plan(), sweep=SWEEP, sample_m=0.2)
     finally:
-        numba.set_num_threads(before)
+        set_threads(0)
     assert np.array_equal(alone.paths, prediction.paths) and np.array_equal(alone.states, prediction.states)
 
 

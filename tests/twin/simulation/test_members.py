@@ -344,10 +344,10 @@ def test_every_kind_of_plan_drives_on_one_machine_code(yutu2: Rover, slope: Grad
     mixed = (Leg(0.1), Leg(stop_s=1.0), Leg(turn_deg=5.0), Leg(0.1))
     plans = [plan_of(*legs, **extra) for legs in (mixed, mixed[1:]) for extra in ({}, {"fixes": Fixes(0.01, 0.1)})]
     predict(yutu2, slope(), plan_of(Leg(0.1)), sweep=())
-    before = len(drive.signatures), len(balance.signatures)
+    before = len(drive.entries), len(balance.entries)
     for plan in (*plans, plan_of(Leg(stop_s=1.0))):
         assert outcome(predict(yutu2, slope(), plan, sweep=())) == "finished"
-    assert (len(drive.signatures), len(balance.signatures)) == before
+    assert (len(drive.entries), len(balance.entries)) == before
 
 
 def test_sweeps_of_one_value(yutu2: Rover, slope: GradientTerrain) -> None:

@@ -9,11 +9,11 @@ import dataclasses
 import math
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 import pytest
 from mujoco_rover import joint_angles, joint_names, mjcf
 
+from lunarsci.compiled import compiled
 from lunarsci.regolith.forces import wheel_forces_kernel
 from lunarsci.regolith.soil import Soil
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
@@ -58,13 +58,13 @@ class Track(NamedTuple):
     normal: np.ndarray
 
 
-@numba.njit  # type: ignore[untyped-decorator]
+@compiled  # type: ignore[untyped-decorator]
 def unit_cross(a, b):  # type: ignore[no-untyped-def]
     c = np.cross(a, b)
     return c / math.sqrt(c @ c)
 
 
-@numba.njit  # type: ignore[untyped-decorator]
+@compiled  # type: ignore[untyped-decorator]
 def push_wheels(bodies, place, turn, motion, about, rim, ground, tyre, soil, damping, applied, normal):  # type: ignore[no-untyped-def]
     """The wrench of the soil on every wheel into `applied` (bodies, 6), world axes at the wheel centre."""
     r, r_s, c1, c2, c3 = tyre[0], tyre[3], tyre[4], tyre[5], tyre[6]
