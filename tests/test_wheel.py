@@ -17,17 +17,6 @@ ROOT = Path(__file__).parents[1]
 LEFT_BEHIND = shutil.ignore_patterns(".git", ".venv", "build", "*.egg-info", "__pycache__", ".*cache", "lunarsci-demo")
 
 
-def hand_over_compiled_code(package: Path) -> None:
-    """Give an installed package the machine code that the suite has compiled of the same sources so far.
-
-    What is missing or of other sources, by numba's own stamps, the package compiles itself.
-    """
-    for folder in {path.parent for path in package.rglob("*.py")}:
-        for cached in Path(os.environ["NUMBA_CACHE_DIR"]).glob(f"{folder.name}_*/*.nb[ci]"):
-            (folder / "__pycache__").mkdir(exist_ok=True)
-            shutil.copy(cached, folder / "__pycache__")
-
-
 def files_of(package: Path) -> set[str]:
     """Files of a package, but for compiled ones."""
     kept = (path.relative_to(package) for path in package.rglob("*") if path.is_file())
@@ -90,9 +79,8 @@ def test_a_wheel_installs_into_an_empty_environment_and_runs(tmp_path: Path) -> 
         f"{folder}/{name}" for folder in ("cli", "spectra_data") for name in files_of(ROOT / folder)
     }
     assert files_of(package) >= {name for name in expected if not name.endswith(".md")}
-    hand_over_compiled_code(package)
     empty.mkdir()
-    clean = {key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "NUMBA", "LUNARSCI"))}
+    clean = {key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "LUNARSCI"))}
 
     def said(*command: object) -> str:
         done = subprocess.run([*map(str, command)], cwd=empty, env=clean, capture_output=True, text=True)

@@ -50,6 +50,8 @@ ROOT = 0
 """Number of the user who may write everywhere."""
 ROWS_FIRST, COLUMNS_FIRST, ALIGNED, WRITEABLE = 0x1, 0x2, 0x100, 0x400
 """Flags of an array that machine code depends on, the second where it has not the first; `ndarraytypes.h` of NumPy."""
+SAME: Mapping[type, type] = {np.float64: float, np.int64: int, np.bool_: bool}
+"""Types of NumPy's whose numbers are to machine code what those of Python are."""
 
 
 def kind_of(value: Any) -> Any:
@@ -60,7 +62,7 @@ def kind_of(value: Any) -> Any:
         return value.dtype, value.ndim, order | flags & (ALIGNED | WRITEABLE)
     if isinstance(value, tuple):
         return (type(value), *map(kind_of, value))
-    return type(value)
+    return SAME.get(type(value), type(value))
 
 
 def _named(kind: Any) -> str:

@@ -25,7 +25,10 @@ STIFFNESS_KPA, SINKAGE_M, LOAD_N = 1443.0, 0.008, 32.03
 """Equivalent stiffness at N = 1, sinkage, and load on a wheel: Ding et al. (2024), 10.1038/s41467-024-46233-8, Fig. 4;
 the load is that of F_N/b = 213.5 N/m on a wheel 0.15 m wide."""
 LOAD_WITHIN = 0.01
-"""Share by which the load found may differ from the published one, whose digits allow as much; assumed."""
+"""Share by which the load found may differ from the published one, whose digits allow as much, and the stiffness from
+that of its wheels; assumed."""
+STEP_NM = 5.0
+"""Between channels of made-up spectra, whose bands are to be found to one of them; assumed."""
 DRIVE_M, END_WITHIN_M = 0.6, 0.1
 """Length of a drive over nearly level ground, and how near to where it was planned it must end; assumed."""
 
@@ -81,7 +84,9 @@ class HealthReport(Result):
 
 def doctor(*, progress: Callable[[int, int], None] = lambda done, total: None) -> HealthReport:
     """Look at everything. The tests take a few seconds where the code is compiled already, a few minutes else."""
-    tests: Mapping[str, Callable[[], tuple[str, str]]] = {"rock": _rock, "ground": _ground, "drive": _drive}
+    tests: Mapping[str, Callable[[], tuple[str, str]]] = {
+        "rock": _rock, "minerals": _minerals, "ground": _ground, "soil": _soil, "drive": _drive
+    }  # fmt: skip
     checks = [_versions(), *map(_extra, EXTRAS), _cache(), _threads()]
     for number, (name, test) in enumerate(tests.items()):
         progress(number, len(tests))
@@ -138,19 +143,31 @@ def _off(what: str, value: float, truth: float, within: float, unit: str) -> tup
     return text, "" if abs(value - truth) <= within else f"off by more than {within:.2g} {unit}"
 
 
-def _rock() -> tuple[str, str]:
-    """The centre of a Gaussian absorption in a made-up spectrum, to be measured to a channel."""
+def _made_up(*bands: tuple[float, float, float]) -> Any:
+    """Wavelengths every `STEP_NM`, and reflectances with Gaussian absorptions, each of centre, width and depth."""
     import numpy as np
 
+    nm = np.arange(450.0, 2400.0, STEP_NM)
+    return nm, 0.1 * np.exp(-sum(d * np.exp(-4 * np.log(2) * ((nm - c) / w) ** 2) for c, w, d in bands))
+
+
+def _rock() -> tuple[str, str]:
+    """The centre of an absorption, to be measured to a channel."""
     from lunarsci.spectra.jobs.bands import bands
 
-    center_nm, step_nm = 950.0, 5.0
-    nm = np.arange(450.0, 2400.0, step_nm)
-    depth = sum(
-        d * np.exp(-4 * np.log(2) * ((nm - c) / w) ** 2) for c, w, d in ((center_nm, 180, 0.4), (1950, 450, 0.2))
-    )
-    observed = bands((nm, 0.1 * np.exp(-depth)), continuum="hull").to_dict()["spectra"][0]
-    return _off("band at", observed["bc1000_nm"], center_nm, step_nm, "nm")
+    spectrum = _made_up((950.0, 180.0, 0.4), (1950.0, 450.0, 0.2))
+    observed = bands(spectrum, continuum="hull").to_dict()["spectra"][0]
+    return _off("band at", observed["bc1000_nm"], 950.0, STEP_NM, "nm")
+
+
+def _minerals() -> tuple[str, str]:
+    """The centre of an absorption of orthopyroxene, to be fitted to a channel."""
+    from lunarsci.spectra.jobs.fit import fit
+
+    spectrum = _made_up((920.0, 180.0, 0.4), (1900.0, 450.0, 0.2))
+    found = fit(spectrum, assemblage="OPX").to_dict()["spectra"][0]["bands"]
+    center_nm = next(band["center_nm"] for band in found if band["name"] == "OPX 2")
+    return _off("band at", center_nm, 1900.0, STEP_NM, "nm")
 
 
 def _ground() -> tuple[str, str]:
@@ -159,6 +176,21 @@ def _ground() -> tuple[str, str]:
 
     observed = wheel_forces(sinkage=SINKAGE_M, stiffness=STIFFNESS_KPA, exponent=1.0, slip=0.0).rows()[0]
     return _off("load of", observed["normal_force_n"], LOAD_N, LOAD_WITHIN * LOAD_N, "N")
+
+
+def _soil() -> tuple[str, str]:
+    """The stiffness of a soil, from what wheels on it carry."""
+    from astropy.table import Table
+
+    from lunarsci.regolith.jobs.identify import identify
+    from lunarsci.regolith.jobs.wheel_forces import wheel_forces
+
+    about = {"rover": "yutu2", "stiffness": STIFFNESS_KPA, "exponent": 1.0, "slip": 0.1}
+    states = [wheel_forces(sinkage=part * SINKAGE_M, **about).rows()[0] for part in (0.8, 1.0, 1.2)]
+    columns = ("sinkage_m", "slip_ratio", "normal_force_n", "drawbar_pull_n")
+    found = identify(Table({name: [state[name] for state in states] for name in columns}), rover="yutu2").to_dict()
+    observed = found["bearing"]["stiffness_kpa_m_n"]["value"]
+    return _off("stiffness", observed, STIFFNESS_KPA, LOAD_WITHIN * STIFFNESS_KPA, "kPa/m")
 
 
 def _drive() -> tuple[str, str]:
