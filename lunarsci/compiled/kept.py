@@ -59,7 +59,8 @@ def kind_of(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         flags = value.flags.num
         order = flags & ROWS_FIRST or flags & COLUMNS_FIRST
-        return value.dtype, value.ndim, order | flags & (ALIGNED | WRITEABLE)
+        about = value.dtype, value.ndim, order | flags & (ALIGNED | WRITEABLE)
+        return about if type(value) is np.ndarray else (type(value), *about)
     if isinstance(value, tuple):
         return (type(value), *map(kind_of, value))
     return SAME.get(type(value), type(value))
@@ -187,7 +188,8 @@ def load(name: str, source: str) -> Entry | None:
     with contextlib.suppress(OSError):
         stored = path.read_bytes()
         if time.time() - path.stat().st_mtime > UNUSED_DAYS * 86400 / 2:
-            path.touch()
+            with contextlib.suppress(OSError):
+                path.touch()
         head, _, code = stored[DIGEST_BYTES:].partition(b"\n")
         if stored[:DIGEST_BYTES] == hashlib.sha256(name.encode() + stored[DIGEST_BYTES:]).digest():
             return Entry(name, code, json.loads(head))
@@ -211,7 +213,10 @@ def save(name: str, source: str, code: bytes, about: Mapping[str, Any]) -> None:
 
 def cache_folder() -> Path:
     """Where machine code is kept: in NUMBA_CACHE_DIR, else where this system keeps what can be made again."""
-    home = Path.home()
+    try:
+        home = Path.home()
+    except RuntimeError:  # a user without a name has no such place
+        home = Path(os.devnull)
     usual = {"win32": os.environ.get("LOCALAPPDATA") or home / "AppData/Local", "darwin": home / "Library/Caches"}
     here = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME")
     return Path(here or usual.get(sys.platform, home / ".cache")) / "lunarsci-code"
