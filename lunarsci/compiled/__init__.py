@@ -133,7 +133,7 @@ def threads() -> int:
 
 
 def set_threads(count: int) -> None:
-    """Let compiled code that this thread calls compute in so many; 0: as many as there are processors for the process."""
+    """Let compiled code that this thread calls compute in so many; 0: as many as it has processors."""
     _THREADS.count = count
 
 

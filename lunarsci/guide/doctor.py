@@ -185,8 +185,10 @@ def _soil() -> tuple[str, str]:
     from lunarsci.regolith.jobs.identify import identify
     from lunarsci.regolith.jobs.wheel_forces import wheel_forces
 
-    about = {"rover": "yutu2", "stiffness": STIFFNESS_KPA, "exponent": 1.0, "slip": 0.1}
-    states = [wheel_forces(sinkage=part * SINKAGE_M, **about).rows()[0] for part in (0.8, 1.0, 1.2)]
+    states = [
+        wheel_forces(sinkage=part * SINKAGE_M, stiffness=STIFFNESS_KPA, exponent=1.0, slip=0.1).rows()[0]
+        for part in (0.8, 1.0, 1.2)
+    ]
     columns = ("sinkage_m", "slip_ratio", "normal_force_n", "drawbar_pull_n")
     found = identify(Table({name: [state[name] for state in states] for name in columns}), rover="yutu2").to_dict()
     observed = found["bearing"]["stiffness_kpa_m_n"]["value"]
