@@ -388,7 +388,7 @@ class StatesAgreement:
     reduced_chi_square : of these values about their weighted mean, each with its own error.
     probability : of a larger one by chance.
     first, last : values at the least and the largest slip.
-    trend : `falls` or `rises` with slip, '' for neither, where slips do not differ or the values agree.
+    trend : `falls` or `rises` with slip, '' for neither or where slips do not differ.
     """
 
     parameter: str
@@ -415,6 +415,8 @@ class StatesAgreement:
 
 def agreement(parameter: str, estimates: Sequence[Estimate], slip: FloatArray) -> StatesAgreement | None:
     """Of single states, with their slip, (n,); None where fewer than two have a value and an error."""
+    from scipy.stats import kendalltau
+
     pairs = [(e.value, e.sigma) if e.value is not None and e.sigma else (np.nan, np.nan) for e in estimates]
     value, sigma = np.array(pairs, float).reshape(-1, 2).T
     solved = np.isfinite(value)
@@ -424,19 +426,12 @@ def agreement(parameter: str, estimates: Sequence[Estimate], slip: FloatArray) -
         return None
     chi_square = float(np.sum(weight * (value - np.average(value, weights=weight)) ** 2))
     varied = np.isfinite(slip).all() and np.ptp(slip) > 0 and np.ptp(value) > 0
+    rank = kendalltau(slip, value) if varied else None
+    trend = "" if rank is None or rank.pvalue > TREND else "rises" if rank.statistic > 0 else "falls"
     order = np.argsort(slip, kind="stable")
     ends = float(value[order[0]]), float(value[order[-1]])
     chance = float(gammaincc(degrees / 2, chi_square / 2))
-    trend = _trend(slip, value) if varied and chance <= SIGNIFICANCE else ""
     return StatesAgreement(parameter, degrees + 1, chi_square / degrees, chance, *ends, trend)
-
-
-def _trend(slip: FloatArray, value: FloatArray) -> str:
-    """What values do with slip, (n,) both; '' for neither."""
-    from scipy.stats import kendalltau
-
-    rank = kendalltau(slip, value)
-    return "" if rank.pvalue > TREND else "rises" if rank.statistic > 0 else "falls"
 
 
 @dataclass(frozen=True, slots=True)
