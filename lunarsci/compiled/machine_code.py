@@ -175,8 +175,9 @@ def _translated(codegen: Any, part: Any, entry: ir.Module) -> tuple[bytes, list[
         module.link_in(llvm.parse_assembly(str(_runtime())))
         CPUCodeLibrary._optimize_final_module(library)
     else:  # numba optimises everything twice so that few uses are left to be counted
-        manager, builder = codegen._module_pass_manager()
-        manager.run(module, builder)
+        made = codegen._module_pass_manager()
+        manager, *options = made if isinstance(made, tuple) else (made,)  # older numba gives a manager alone
+        manager.run(module, *options)
     for function in module.functions:
         if not function.is_declaration and function.name not in exported:
             function.linkage = llvm.Linkage.internal
