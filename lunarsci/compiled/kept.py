@@ -76,7 +76,7 @@ def _named(kind: Any) -> str:
 
 
 def _slots(value: Any) -> Iterator[Any]:
-    """Numbers that stand for an argument: of an array its place, lengths and strides."""
+    """Numbers that stand for an argument: of an array its place, lengths and strides, of a generator what draws."""
     if isinstance(value, np.ndarray):
         yield value.ctypes.data
         yield from value.shape
@@ -84,6 +84,13 @@ def _slots(value: Any) -> Iterator[Any]:
     elif isinstance(value, tuple):
         for part in value:
             yield from _slots(part)
+    elif hasattr(value, "bit_generator"):
+        draws = value.bit_generator.ctypes
+        yield draws.state_address
+        yield draws.state.value
+        yield from (
+            ctypes.cast(one, ctypes.c_void_p).value for one in (draws.next_uint64, draws.next_double, draws.next_uint32)
+        )
     elif value is not None:
         yield value.item() if isinstance(value, np.generic) else value
 

@@ -21,7 +21,7 @@ import llvmlite.binding as llvm
 import numba
 from llvmlite import ir
 from numba.core import types
-from numba.core.cgutils import get_or_insert_function
+from numba.core.cgutils import create_struct_proxy, get_or_insert_function
 from numba.core.codegen import CPUCodeLibrary, JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.compiler_lock import global_compiler_lock
@@ -36,6 +36,8 @@ POINTER, STATUS, WORD = ir.IntType(8).as_pointer(), ir.IntType(32), 8
 ROOM = 6 * WORD
 """Bytes of what numba keeps of an array in front of its numbers: count of uses, how it ends (2), place, size,
 allocator; `numba/core/runtime/nrt.h`."""
+DRAWS = types.NumPyRandomBitGeneratorType("bit_generator")
+"""Numba's type of what a generator of NumPy's draws with."""
 
 
 class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
@@ -120,6 +122,12 @@ def _read(context: Any, builder: ir.IRBuilder, kind: Any, places: Iterator[ir.Va
         return context.make_tuple(builder, kind, [_read(context, builder, part, places) for part in kind])
     if isinstance(kind, types.NoneType):  # type: ignore[attr-defined]
         return context.get_dummy_value()
+    if isinstance(kind, types.NumPyRandomGeneratorType):
+        generator, draws = (create_struct_proxy(one)(context, builder) for one in (kind, DRAWS))
+        for name in ("state_address", "state", "fnptr_next_uint64", "fnptr_next_double", "fnptr_next_uint32"):
+            setattr(draws, name, builder.load(next(places)))
+        generator.bit_generator = draws._getvalue()
+        return generator._getvalue()
     number = builder.load(next(places))
     if isinstance(kind, types.Array):
         array = context.make_array(kind)(context, builder)

@@ -165,8 +165,8 @@ def _minerals() -> tuple[str, str]:
     from lunarsci.spectra.jobs.fit import fit
 
     spectrum = _made_up((920.0, 180.0, 0.4), (1900.0, 450.0, 0.2))
-    found = fit(spectrum, assemblage="OPX").to_dict()["spectra"][0]["bands"]
-    center_nm = next(band["center_nm"] for band in found if band["name"] == "OPX 2")
+    bands = fit(spectrum, assemblage="OPX").to_dict()["spectra"][0]["bands"]
+    center_nm = next(band["center_nm"] for band in bands if band["name"] == "OPX 2")
     return _off("band at", center_nm, 1900.0, STEP_NM, "nm")
 
 
@@ -190,8 +190,8 @@ def _soil() -> tuple[str, str]:
         for part in (0.8, 1.0, 1.2)
     ]
     columns = ("sinkage_m", "slip_ratio", "normal_force_n", "drawbar_pull_n")
-    found = identify(Table({name: [state[name] for state in states] for name in columns}), rover="yutu2").to_dict()
-    observed = found["bearing"]["stiffness_kpa_m_n"]["value"]
+    result = identify(Table({name: [state[name] for state in states] for name in columns}), rover="yutu2").to_dict()
+    observed = result["bearing"]["stiffness_kpa_m_n"]["value"]
     return _off("stiffness", observed, STIFFNESS_KPA, LOAD_WITHIN * STIFFNESS_KPA, "kPa/m")
 
 

@@ -103,6 +103,16 @@ def test_what_goes_in_and_comes_out_is_what_python_has(flag: bool, order: str) -
 
 
 @compiled
+def drawn(generator: np.random.Generator) -> tuple[float, float]:
+    return generator.standard_normal(), generator.uniform(2.0, 3.0)
+
+
+def test_generators_draw_as_in_python_and_go_on_there() -> None:
+    ours, theirs = np.random.default_rng(3), np.random.default_rng(3)
+    assert drawn(ours) == drawn.__wrapped__(theirs) and ours.random() == theirs.random()
+
+
+@compiled
 def share(x: float, y: float) -> float:
     return x / y
 
