@@ -61,8 +61,8 @@ class Compiled:
         from lunarsci.compiled.kept import Entry, entry_name, kind_of, load, save
 
         kinds = tuple(map(kind_of, arguments))
-        if found := self.entries.get(kinds):
-            return found
+        if entry := self.entries.get(kinds):
+            return entry
         with _MAKING:
             if kinds not in self.entries:
                 source, name = self._function.__code__.co_filename, entry_name(self._function, self._options, kinds)

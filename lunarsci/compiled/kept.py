@@ -75,24 +75,23 @@ def _named(kind: Any) -> str:
     return repr(kind)
 
 
-def _slots(value: Any) -> Iterator[Any]:
-    """Numbers that stand for an argument: of an array its place, lengths and strides, of a generator what draws."""
+def _put(value: Any, slots: list[Any]) -> None:
+    """Add numbers that stand for an argument: of an array its place, lengths, strides, of a generator what draws."""
     if isinstance(value, np.ndarray):
-        yield value.ctypes.data
-        yield from value.shape
-        yield from value.strides
+        slots += (value.ctypes.data, *value.shape, *value.strides)
     elif isinstance(value, tuple):
         for part in value:
-            yield from _slots(part)
+            _put(part, slots)
     elif hasattr(value, "bit_generator"):
         draws = value.bit_generator.ctypes
-        yield draws.state_address
-        yield draws.state.value
-        yield from (
-            ctypes.cast(one, ctypes.c_void_p).value for one in (draws.next_uint64, draws.next_double, draws.next_uint32)
+        functions = (draws.next_uint64, draws.next_double, draws.next_uint32)
+        slots += (
+            draws.state_address,
+            draws.state.value,
+            *(ctypes.cast(one, ctypes.c_void_p).value for one in functions),
         )
     elif value is not None:
-        yield value.item() if isinstance(value, np.generic) else value
+        slots.append(value.item() if isinstance(value, np.generic) else value)
 
 
 class Entry:
@@ -118,14 +117,18 @@ class Entry:
         self._call = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_char_p, ctypes.c_void_p)(place)
         self._release = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(release or 0)
         self._name, self._result = name, about["result"]
+        self._given: struct.Struct | None = None
         self._format = "".join(_letters(self._result))
 
     def __call__(self, arguments: Sequence[Any]) -> Any:
         """What it gives, with the lock of Python's threads released meanwhile."""
-        slots = [slot for value in arguments for slot in _slots(value)]
-        letters = "".join(["d" if isinstance(slot, float) else "q" for slot in slots])
+        slots: list[Any] = []
+        for value in arguments:
+            _put(value, slots)
+        if self._given is None:  # the same at every call
+            self._given = struct.Struct("".join(["d" if isinstance(slot, float) else "q" for slot in slots]))
         room = ctypes.create_string_buffer(8 * len(self._format)) if self._format else None
-        if self._call(struct.pack(letters, *slots), room):
+        if self._call(self._given.pack(*slots), room):
             raise ArithmeticError(f"{self._name}: a division by zero, or no memory")
         return None if room is None else self._read(self._result, iter(struct.unpack(self._format, room)))
 
