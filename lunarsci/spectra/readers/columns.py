@@ -21,6 +21,7 @@ from lunarsci.io.inputs import InputFile
 from lunarsci.names import some_of
 from lunarsci.spectra.readers.table import (
     MAX_FRACTION,
+    NAMES_CACHED,
     PERCENT_SIGN,
     Column,
     SpectrumTable,
@@ -72,7 +73,7 @@ QUANTITIES = (
 """What is known of, the first that fits a name in lower case without blanks."""
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=NAMES_CACHED)
 def quantity_of(name: str) -> ColumnQuantity | None:
     """What a column holds by its name; None for a reflectance, as far as the name says."""
     plain = re.sub(r"[\s_]", "", unicodedata.normalize("NFKC", name).replace("−", "-").casefold())
@@ -266,14 +267,14 @@ def assign_roles(
         k for k in others if k in left_out or is_not_a_spectrum(names[k]) or _is_wavelength_error(names[k])
         or is_wavelength(names[k])
     ]  # fmt: skip
-    plain = [
-        k for k in others if k not in dropped and quantity_of(names[k]) is None and not says_error(names[k])
-    ]  # fmt: skip
-    dropped += [k for k in others if plain and k not in (*plain, *dropped) and not says_error(names[k])]
-    rest = [k for k in others if k not in dropped]
+    reflectances = [k for k in sorted({*others} - {*dropped}) if not says_error(names[k])]
+    computed = [k for k in reflectances if quantity_of(names[k]) is not None]
+    dropped += computed if len(computed) < len(reflectances) else ()
+    rest = sorted({*others} - {*dropped})
     sigmas = _sigmas(names, rest, source.name)
     listed = ", ".join(quoted(names[k]) for k in dropped)
-    spectra = tuple((k, sigmas.get(k)) for k in rest if k not in sigmas.values())
+    errors = {*sigmas.values()}
+    spectra = tuple((k, sigmas.get(k)) for k in rest if k not in errors)
     if not spectra:
         why = f" beside {listed}" if dropped else ""
         raise DataError(
@@ -313,6 +314,7 @@ def _is_wavelength_error(name: str) -> bool:
     return is_wavelength(name) and bool(_SIGMA & set(name_tokens(name)))
 
 
+@lru_cache(maxsize=NAMES_CACHED)
 def says_error(name: str) -> bool:
     """Whether a name says that a column holds errors, and nothing else: 'SD', 'Std.Abw.', 'incertitude'."""
     if _PLUS_MINUS.match(name.strip()):
