@@ -21,7 +21,6 @@ from lunarsci.io.inputs import InputFile
 from lunarsci.names import some_of
 from lunarsci.spectra.readers.table import (
     MAX_FRACTION,
-    NAMES_CACHED,
     PERCENT_SIGN,
     Column,
     SpectrumTable,
@@ -73,7 +72,7 @@ QUANTITIES = (
 """What is known of, the first that fits a name in lower case without blanks."""
 
 
-@lru_cache(maxsize=NAMES_CACHED)
+@lru_cache(maxsize=4096)
 def quantity_of(name: str) -> ColumnQuantity | None:
     """What a column holds by its name; None for a reflectance, as far as the name says."""
     plain = re.sub(r"[\s_]", "", unicodedata.normalize("NFKC", name).replace("−", "-").casefold())
@@ -257,21 +256,19 @@ def assign_roles(
     or an uncertainty that belongs to no column or to several.
     """
     _check_unique(names, source.name)
+    said = [_said(name) for name in names]
     if wavelength is None:
-        wavelength = _wavelength_place(names, source.name)
+        wavelength = _wavelength_place(names, said, source.name)
     others = [k for k in range(len(names)) if k != wavelength]
     systematic = _systematic(names, others, source.name)
     shifts = {place for columns in systematic.values() for _, place in columns}
     others = [k for k in others if k not in shifts]
-    dropped = [
-        k for k in others if k in left_out or is_not_a_spectrum(names[k]) or _is_wavelength_error(names[k])
-        or is_wavelength(names[k])
-    ]  # fmt: skip
-    reflectances = [k for k in sorted({*others} - {*dropped}) if not says_error(names[k])]
-    computed = [k for k in reflectances if quantity_of(names[k]) is not None]
+    dropped = [k for k in others if k in left_out or said[k] in ("nothing", "wavelength")]
+    reflectances = [k for k in sorted({*others} - {*dropped}) if said[k] != "error"]
+    computed = [k for k in reflectances if said[k] == "computed"]
     dropped += computed if len(computed) < len(reflectances) else ()
     rest = sorted({*others} - {*dropped})
-    sigmas = _sigmas(names, rest, source.name)
+    sigmas = _sigmas(names, rest, {k for k in rest if said[k] == "error"}, source.name)
     listed = ", ".join(quoted(names[k]) for k in dropped)
     errors = {*sigmas.values()}
     spectra = tuple((k, sigmas.get(k)) for k in rest if k not in errors)
@@ -286,15 +283,24 @@ def assign_roles(
     return Roles(wavelength, spectra, systematic)
 
 
+def _said(name: str) -> str:
+    """What a name says that a column is: a wavelength, nothing of a spectrum, its error, a reflectance."""
+    if is_wavelength(name):
+        return "nothing" if _is_wavelength_error(name) else "wavelength"
+    if is_not_a_spectrum(name) or _is_wavelength_error(name):
+        return "nothing"
+    return "error" if says_error(name) else "reflectance" if quantity_of(name) is None else "computed"
+
+
 def _check_unique(names: Sequence[str], file: str) -> None:
-    twice = [name for name, count in Counter(n for n in names if n and not says_error(n)).items() if count > 1]
+    twice = [name for name, count in Counter(names).items() if count > 1 and name and not says_error(name)]
     if twice:
         raise DataError(f"{file}: two columns are named {quoted(twice[0])}; give each column its own name")
 
 
-def _wavelength_place(names: Sequence[str], file: str) -> int:
+def _wavelength_place(names: Sequence[str], said: Sequence[str], file: str) -> int:
     """Place of the wavelength column: that with such a name, else the first. Raises DataError for two, or none."""
-    result = [k for k, name in enumerate(names) if is_wavelength(name) and not _is_wavelength_error(name)]
+    result = [k for k, what in enumerate(said) if what == "wavelength"]
     result = [k for k in result if not _WAVENUMBER & {*name_tokens(names[k])}] or result
     if len(result) > 1:
         raise DataError(
@@ -314,7 +320,6 @@ def _is_wavelength_error(name: str) -> bool:
     return is_wavelength(name) and bool(_SIGMA & set(name_tokens(name)))
 
 
-@lru_cache(maxsize=NAMES_CACHED)
 def says_error(name: str) -> bool:
     """Whether a name says that a column holds errors, and nothing else: 'SD', 'Std.Abw.', 'incertitude'."""
     if _PLUS_MINUS.match(name.strip()):
@@ -325,8 +330,8 @@ def says_error(name: str) -> bool:
     return word in _SIGMA or _SIGMA_WORD.match(word) is not None
 
 
-def _sigmas(names: Sequence[str], places: Sequence[int], file: str) -> dict[int, int]:
-    """Place of the uncertainty of each reflectance place that has one."""
+def _sigmas(names: Sequence[str], places: Sequence[int], errors: Collection[int], file: str) -> dict[int, int]:
+    """Place of the uncertainty of each reflectance place that has one; names of `errors` say nothing else."""
     plain = {names[k]: k for k in places} | {without_unit(names[k]): k for k in places}
     pairs: dict[int, int] = {}
     bare = []
@@ -335,7 +340,7 @@ def _sigmas(names: Sequence[str], places: Sequence[int], file: str) -> dict[int,
         last, owner = _LAST_WORD.match(name), _owner(name, plain)
         if owner is not None:
             _pair(pairs, owner, k, names, file)
-        elif says_error(name) or says_error(names[k]):
+        elif k in errors or (name != names[k] and says_error(name)):
             bare.append(k)
         elif last is not None and says_error(last[2]):
             _pair(pairs, None, k, names, file)

@@ -129,7 +129,7 @@ _FRACTION = re.compile(r"\s*[(\[{]\s*(?:fraction|0-1|-)\s*[)\]}]$", re.IGNORECAS
 
 _MAY_SAY_UNIT = re.compile(r"[(\[{%]|per ?cent|pct|prozent", re.IGNORECASE)
 """Where a name has none of these, nothing above is in it."""
-NAMES_CACHED = 1 << 16
+_NAMES_CACHED = 4096
 _MEDIANS_AT_ONCE = 4096
 
 _FACTOR_NM = {"nm": 1.0, "um": 1000.0, "angstrom": 0.1}
@@ -173,7 +173,7 @@ class ReflectanceChoice:
     remark: str | None
 
 
-@lru_cache(maxsize=NAMES_CACHED)
+@lru_cache(maxsize=_NAMES_CACHED)
 def name_tokens(name: str) -> tuple[str, ...]:
     """Lower-case words of a column name, both code points of µ made one: 'Wavelength (µm)' -> ('wavelength', 'μm')."""
     return tuple(t for t in re.split(r"[^\w%]+|_", unicodedata.normalize("NFKC", name).casefold()) if t)
@@ -265,7 +265,7 @@ def without_unit(name: str) -> str:
     return _FRACTION.sub("", _PERCENT.sub("", name)).strip() or name
 
 
-@lru_cache(maxsize=NAMES_CACHED)
+@lru_cache(maxsize=_NAMES_CACHED)
 def only_percent(name: str) -> bool:
     """Whether a name says reflectance in percent and nothing else: 'Reflect. %', '%R', 'Tgt./Ref. %'."""
     rest, count = PERCENT_SIGN.subn(" ", name)
