@@ -344,6 +344,8 @@ def _sigmas(names: Sequence[str], places: Sequence[int], errors: Collection[int]
             bare.append(k)
         elif last is not None and says_error(last[2]):
             _pair(pairs, None, k, names, file)
+    if not bare:
+        return pairs
     taken = {*pairs, *pairs.values(), *bare}
     alone = [k for k in places if k not in taken]
     plainly = alone if len(alone) == 1 else [k for k in alone if names[k] and _is_plain(without_unit(names[k]))]
@@ -398,9 +400,13 @@ def only_spectra(table: SpectrumTable, deleted: IntArray) -> tuple[SpectrumTable
     values = table.reflectances
     low, high = np.fmin.reduce(values, axis=1), np.fmax.reduce(values, axis=1)
     unnamed = np.array([stated_unit(column) is None for column, _ in table.spectra])
-    plain = [high[k] <= MAX_FRACTION for k, (one, _) in enumerate(table.spectra) if one.name and _is_plain(one.name)]
     running = (np.diff(values, axis=1) == 1.0).all(axis=1) & (values.shape[1] > 2)
-    constant = unnamed & ((low > MAX_FRACTION) & ((low == high) | any(plain)) | running)
+    large = low > MAX_FRACTION
+    plain = large.any() and any(
+        top <= MAX_FRACTION and one.name and _is_plain(one.name)
+        for top, (one, _) in zip(high.tolist(), table.spectra, strict=True)
+    )
+    constant = unnamed & (large & ((low == high) | plain) | running)
     if constant.any() and not constant.all():
         retained, left = (np.flatnonzero(which).tolist() for which in (~constant, constant))
         dropped = some_of([table.spectra[k][0].label for k in left], MOST_NAMED)
