@@ -150,13 +150,13 @@ def numbers_at_once(lines: Sequence[tuple[int, str]], separator: str) -> FloatAr
     values = np.empty((len(lines), width))
     try:
         for row, (_, line) in zip(values, lines, strict=True):
-            row[:] = _plain_numbers(line, separator)
+            row[:] = plain_numbers(line, separator)
     except ValueError:
         return None
     return np.ascontiguousarray(values.T)
 
 
-def _plain_numbers(line: str, separator: str) -> Any:
+def plain_numbers(line: str, separator: str) -> Any:
     """All fields of a line, None or NaN for an empty one. Raises ValueError where one is no plain number."""
     if line.encode().translate(None, _PLAIN + separator.encode()):
         raise ValueError(line)
