@@ -1,4 +1,4 @@
-"""Many records of one kind, kept as columns: read like a list of dicts, written as JSON and CSV with the numbers of orjson.
+"""Many records of one kind, kept as columns: read like a list of dicts, written as JSON and CSV with numbers by orjson.
 
 What a job finds of a thousand spectra is a thousand objects with the same keys. Here each key has an array.
 

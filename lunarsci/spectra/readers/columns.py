@@ -256,19 +256,19 @@ def assign_roles(
     or an uncertainty that belongs to no column or to several.
     """
     _check_unique(names, source.name)
-    said = [_said(name) for name in names]
+    kinds = [_kind_of(name) for name in names]
     if wavelength is None:
-        wavelength = _wavelength_place(names, said, source.name)
+        wavelength = _wavelength_place(names, kinds, source.name)
     others = [k for k in range(len(names)) if k != wavelength]
     systematic = _systematic(names, others, source.name)
     shifts = {place for columns in systematic.values() for _, place in columns}
     others = [k for k in others if k not in shifts]
-    dropped = [k for k in others if k in left_out or said[k] in ("nothing", "wavelength")]
-    reflectances = [k for k in sorted({*others} - {*dropped}) if said[k] != "error"]
-    computed = [k for k in reflectances if said[k] == "computed"]
+    dropped = [k for k in others if k in left_out or kinds[k] in ("nothing", "wavelength")]
+    reflectances = [k for k in sorted({*others} - {*dropped}) if kinds[k] != "error"]
+    computed = [k for k in reflectances if kinds[k] == "computed"]
     dropped += computed if len(computed) < len(reflectances) else ()
     rest = sorted({*others} - {*dropped})
-    sigmas = _sigmas(names, rest, {k for k in rest if said[k] == "error"}, source.name)
+    sigmas = _sigmas(names, rest, {k for k in rest if kinds[k] == "error"}, source.name)
     listed = ", ".join(quoted(names[k]) for k in dropped)
     errors = {*sigmas.values()}
     spectra = tuple((k, sigmas.get(k)) for k in rest if k not in errors)
@@ -283,7 +283,7 @@ def assign_roles(
     return Roles(wavelength, spectra, systematic)
 
 
-def _said(name: str) -> str:
+def _kind_of(name: str) -> str:
     """What a name says that a column is: a wavelength, nothing of a spectrum, its error, a reflectance."""
     if is_wavelength(name):
         return "nothing" if _is_wavelength_error(name) else "wavelength"
@@ -298,9 +298,9 @@ def _check_unique(names: Sequence[str], file: str) -> None:
         raise DataError(f"{file}: two columns are named {quoted(twice[0])}; give each column its own name")
 
 
-def _wavelength_place(names: Sequence[str], said: Sequence[str], file: str) -> int:
+def _wavelength_place(names: Sequence[str], kinds: Sequence[str], file: str) -> int:
     """Place of the wavelength column: that with such a name, else the first. Raises DataError for two, or none."""
-    result = [k for k, what in enumerate(said) if what == "wavelength"]
+    result = [k for k, what in enumerate(kinds) if what == "wavelength"]
     result = [k for k in result if not _WAVENUMBER & {*name_tokens(names[k])}] or result
     if len(result) > 1:
         raise DataError(
