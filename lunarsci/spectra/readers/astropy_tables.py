@@ -43,8 +43,9 @@ def spectrum_table(table: Any, source: InputFile, format: str) -> SpectrumTable:
 
 
 def _of_columns(
-    columns: Sequence[Any], names: Sequence[str], units: Sequence[Any], meta: Any, source: InputFile, format: str
+    columns: Any, names: Sequence[str], units: Sequence[Any], meta: Any, source: InputFile, format: str
 ) -> SpectrumTable:
+    """The same of columns of numbers or texts, (rows,) each."""
     rows = len(columns[0]) if len(columns) else 0
     if len(names) < 2 or rows == 0:
         what = f"{len(names)} columns and {rows} rows"

@@ -233,8 +233,8 @@ def _step_at(place_nm: FloatArray, level: FloatArray) -> tuple[FloatArray, Float
     away = x - middle[:, None]
     spread = (away**2).sum(axis=1)
     parts = [level[:, k : k + len(x)] for k in range(size)]
-    mean = sum(parts) / size
-    slope = sum(part * away[:, k] for k, part in enumerate(parts)) / spread
+    mean = np.asarray(sum(parts) / size)
+    slope = np.asarray(sum(part * away[:, k] for k, part in enumerate(parts)) / spread)
     low = np.arange(len(place_nm) - 2 * size + 1)
     high, edge = low + size, low + size - 1
     at = 0.5 * (place_nm[edge] + place_nm[edge + 1])
