@@ -39,7 +39,7 @@ class Codes:
     """One of few plain values, `values[codes]`. (n,), any number"""
 
     codes: npt.NDArray[np.integer[Any]]
-    values: Sequence[Any]
+    values: Sequence[Any] | npt.NDArray[Any]
 
 
 def coded(values: Iterable[str]) -> Codes:
@@ -182,7 +182,7 @@ def _sliced(column: Any, rows: Any) -> Any:
         return Codes(column.codes[rows], column.values)
     if isinstance(column, Same | str | None):
         return column
-    by_position = isinstance(rows, np.ndarray) and not isinstance(column, np.ndarray)
+    by_position = isinstance(rows, np.ndarray) and not (isinstance(column, np.ndarray) and column.ndim > 1)
     return Codes(rows, column) if by_position else column[rows]
 
 
@@ -280,7 +280,7 @@ def _chosen(column: Where, texts: list[bytes], otherwise: bytes) -> list[bytes]:
 def _texts(column: Any, size: int, text: Callable[[Any], bytes], nothing: bytes) -> list[bytes]:
     """A column as texts: numbers by orjson, `nothing` for those that are not finite, other values by `text`."""
     if isinstance(column, Codes):
-        return [*map([*map(text, column.values)].__getitem__, column.codes.tolist())]
+        return [*map(_texts(column.values, len(column.values), text, nothing).__getitem__, column.codes.tolist())]
     if isinstance(column, Same | str | None):
         return [text(_at(column, 0))] * size
     if isinstance(column, np.ndarray) and column.ndim == 1 and column.dtype.kind in "biuf":
