@@ -25,6 +25,7 @@ BLOCK_VALUES = 500_000
 """Values of a block that is written at once: some 50 MB of Python objects and text."""
 STRUCTURE = re.compile(r'[",\r\n]')
 """Signs of a CSV table, for which a text is quoted."""
+_MILLIONTHS = re.compile(rb"(\d)\.?(\d*)e-6(?!\d)")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -258,7 +259,7 @@ def _json(column: Any, size: int, margin: bytes) -> list[bytes]:
         counts = [len(column.columns)] * size if column.count is None else column.count.tolist()
         lists = ((b",\n" + inner).join(row[:count]) for row, count in zip(rows, counts, strict=True))
         return [b"[\n%b%b\n%b]" % (inner, items, margin) if items else b"[]" for items in lists]
-    return _texts(column, size, lambda value: _of_value(value, margin), b"null")
+    return _texts(column, size, lambda value: _of_value(value, margin), bytes)
 
 
 def _of_value(value: Any, margin: bytes) -> bytes:
@@ -270,22 +271,28 @@ def _csv(column: Any, size: int) -> list[bytes]:
     """The cells of a column of a table; empty where a value is missing or not finite."""
     if isinstance(column, Where):
         return _chosen(column, _csv(column.column, size), b"")
-    return _texts(column, size, _cell, b"")
+    return _texts(column, size, _cell, _number_cells)
 
 
 def _chosen(column: Where, texts: list[bytes], otherwise: bytes) -> list[bytes]:
     return [text if there else otherwise for text, there in zip(texts, column.present.tolist(), strict=True)]
 
 
-def _texts(column: Any, size: int, text: Callable[[Any], bytes], nothing: bytes) -> list[bytes]:
-    """A column as texts: numbers by orjson, `nothing` for those that are not finite, other values by `text`."""
+def _number_cells(listed: bytes) -> bytes:
+    """Numbers of JSON with commas between them as cells: 4 for 4.0, nothing for null, 0.000001 for 1e-6."""
+    cells = (listed + b",").replace(b".0,", b",").replace(b"null", b"")[:-1]
+    return _MILLIONTHS.sub(rb"0.00000\1\2", cells) if b"e-6" in cells else cells
+
+
+def _texts(column: Any, size: int, text: Callable[[Any], bytes], numbers: Callable[[bytes], bytes]) -> list[bytes]:
+    """A column as texts: numbers by orjson, all of them looked over by `numbers`; other values by `text`."""
     if isinstance(column, Codes):
-        return [*map(_texts(column.values, len(column.values), text, nothing).__getitem__, column.codes.tolist())]
+        return [*map(_texts(column.values, len(column.values), text, numbers).__getitem__, column.codes.tolist())]
     if isinstance(column, Same | str | None):
         return [text(_at(column, 0))] * size
     if isinstance(column, np.ndarray) and column.ndim == 1 and column.dtype.kind in "biuf":
         listed = orjson.dumps(np.ascontiguousarray(column), option=orjson.OPT_SERIALIZE_NUMPY)[1:-1]
-        return listed.replace(b"null", nothing).split(b",") if size else []
+        return numbers(listed).split(b",") if size else []
     return [*map(text, _values(column, size))]
 
 
