@@ -92,6 +92,8 @@ def document(schema: str, result: Mapping[str, Any], provenance: Mapping[str, An
 
 def plain(value: Any) -> Any:
     """The value in plain Python: arrays and records as lists, numbers that are not finite as None."""
+    if value is None or type(value) is str:
+        return value
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if hasattr(value, "tolist"):
@@ -102,9 +104,7 @@ def plain(value: Any) -> Any:
         return None
     if isinstance(value, int) and value.bit_length() > LONGEST_INTEGER:
         return str(value)
-    if value is None or isinstance(value, bool | int | float | str):
-        return value
-    return str(value)
+    return value if isinstance(value, bool | int | float | str) else str(value)
 
 
 def to_text(value: Any) -> str:

@@ -1,4 +1,4 @@
-"""Many records of one kind, kept as columns: read like a list of dicts, written as JSON by orjson and as CSV by Arrow.
+"""Many records of one kind, kept as columns: read like a list of dicts, written as JSON and CSV with numbers by orjson.
 
 What a job finds of a thousand spectra is a thousand objects with the same keys. Here each key has an array.
 
@@ -6,7 +6,7 @@ Records of so many things that their columns are made block by block, when they 
 `RecordsInBlocks`.
 """
 
-import io
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,8 +23,9 @@ from lunarsci.provenance import JSON, plain
 
 BLOCK_VALUES = 500_000
 """Values of a block that is written at once: some 50 MB of Python objects and text."""
-STRUCTURE = r'[",\r\n]'
-"""Signs of a CSV table, for which the texts of a block are quoted."""
+STRUCTURE = re.compile(r'[",\r\n]')
+"""Signs of a CSV table, for which a text is quoted."""
+_MILLIONTHS = re.compile(rb"(\d)\.?(\d*)e-6(?!\d)")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,7 +40,7 @@ class Codes:
     """One of few plain values, `values[codes]`. (n,), any number"""
 
     codes: npt.NDArray[np.integer[Any]]
-    values: Sequence[Any]
+    values: Sequence[Any] | npt.NDArray[Any]
 
 
 def coded(values: Iterable[str]) -> Codes:
@@ -124,16 +125,16 @@ class Records(Sequence[dict[str, Any]]):
 
     def json_chunks(self, depth: int) -> Iterator[bytes]:
         """Its objects as JSON with a comma and a line between them, indented `depth` times, block by block."""
-        margin = b"  " * (depth - 1)
+        margin = b"  " * depth
         for number, block in enumerate(self._blocks()):
-            # Indented, a list is "[\n", its items and "\n]": without both ends blocks can follow each other.
-            lines = orjson.dumps(block.tolist(), option=JSON)[2:-2]
-            yield (b",\n" if number else b"") + margin + lines.replace(b"\n", b"\n" + margin)
+            objects = (b",\n" + margin).join(_json(block.columns, len(block), margin))
+            yield (b",\n" if number else b"") + margin + objects
 
     def csv_chunks(self) -> Iterator[bytes]:
         """Its rows as CSV without a header, block by block."""
         for block in self._blocks():
-            yield _csv_text(block)
+            cells = (_csv(column, len(block)) for _, column in _leaves(block.columns))
+            yield b"\n".join([*map(b",".join, zip(*cells, strict=True)), b""])
 
     def _blocks(self) -> "Iterator[Records]":
         rows = max(1, BLOCK_VALUES // max(1, _width(self.columns)))
@@ -182,7 +183,7 @@ def _sliced(column: Any, rows: Any) -> Any:
         return Codes(column.codes[rows], column.values)
     if isinstance(column, Same | str | None):
         return column
-    by_position = isinstance(rows, np.ndarray) and not isinstance(column, np.ndarray)
+    by_position = isinstance(rows, np.ndarray) and not (isinstance(column, np.ndarray) and column.ndim > 1)
     return Codes(rows, column) if by_position else column[rows]
 
 
@@ -242,53 +243,69 @@ def _rows(columns: Iterable[Any], size: int) -> Iterable[tuple[Any, ...]]:
     return zip(*(_values(column, size) for column in columns), strict=True)
 
 
-def _csv_text(records: Records) -> bytes:
-    """Rows without a header; texts are quoted where one of them has a comma, a quote or a line break in it."""
-    import pyarrow as pa
-    from pyarrow import compute, csv
-
-    columns = [_arrow(column, len(records)) for _, column in _leaves(records.columns)]
-    texts = [column for column in columns if pa.types.is_string(column.type)]
-    quoted = any(compute.any(compute.match_substring_regex(text, STRUCTURE)).as_py() for text in texts)
-    text = io.BytesIO()
-    how = csv.WriteOptions(include_header=False, quoting_style="needed" if quoted else "none")
-    csv.write_csv(pa.table(columns, [str(number) for number in range(len(columns))]), text, how)
-    return text.getvalue()
-
-
-def _arrow(column: Any, size: int) -> Any:
-    """A column of a table: numbers, true and false, or texts; what is missing or not finite is null."""
-    import pyarrow as pa
-    from pyarrow import compute
-
+def _json(column: Any, size: int, margin: bytes) -> list[bytes]:
+    """A column of all records as JSON, of which every line but the first begins with a margin."""
+    inner = margin + b"  "
+    if isinstance(column, Mapping) and column:
+        lines = (inner + _of_value(key, inner).replace(b"%", b"%%") + b": %b" for key in sorted(column))
+        form, values = b",\n".join(lines), (_json(column[key], size, inner) for key in sorted(column))
+        return [*map((b"{\n%b\n%b}" % (form, margin)).__mod__, zip(*values, strict=True))]
     if isinstance(column, Where):
-        values = _arrow(column.column, size)
-        return compute.if_else(pa.array(column.present), values, pa.scalar(None, values.type))
+        return _chosen(column, _json(column.column, size, margin), _of_value(column.otherwise, margin))
+    if isinstance(column, np.ndarray) and column.ndim == 2:
+        column = Listed([*column.T])
+    if isinstance(column, Listed):
+        rows = zip(*(_json(item, size, inner) for item in column.columns), strict=True)
+        counts = [len(column.columns)] * size if column.count is None else column.count.tolist()
+        lists = ((b",\n" + inner).join(row[:count]) for row, count in zip(rows, counts, strict=True))
+        return [b"[\n%b%b\n%b]" % (inner, items, margin) if items else b"[]" for items in lists]
+    return _texts(column, size, lambda value: _of_value(value, margin), bytes)
+
+
+def _of_value(value: Any, margin: bytes) -> bytes:
+    """A value as JSON."""
+    return orjson.dumps(plain(value), option=JSON).replace(b"\n", b"\n" + margin)
+
+
+def _csv(column: Any, size: int) -> list[bytes]:
+    """The cells of a column of a table; empty where a value is missing or not finite."""
+    if isinstance(column, Where):
+        return _chosen(column, _csv(column.column, size), b"")
+    return _texts(column, size, _cell, _number_cells)
+
+
+def _chosen(column: Where, texts: list[bytes], otherwise: bytes) -> list[bytes]:
+    return [text if there else otherwise for text, there in zip(texts, column.present.tolist(), strict=True)]
+
+
+def _number_cells(listed: bytes) -> bytes:
+    """Numbers of JSON with commas between them as cells: 4 for 4.0, nothing for null, 0.000001 for 1e-6."""
+    cells = (listed + b",").replace(b".0,", b",").replace(b"null", b"")[:-1]
+    return _MILLIONTHS.sub(rb"0.00000\1\2", cells) if b"e-6" in cells else cells
+
+
+def _texts(column: Any, size: int, text: Callable[[Any], bytes], numbers: Callable[[bytes], bytes]) -> list[bytes]:
+    """A column as texts: numbers by orjson, all of them looked over by `numbers`; other values by `text`."""
     if isinstance(column, Codes):
-        return _texts(column.values).take(pa.array(column.codes.astype(np.int64)))
+        return [*map(_texts(column.values, len(column.values), text, numbers).__getitem__, column.codes.tolist())]
     if isinstance(column, Same | str | None):
-        return pa.repeat(_texts([_at(column, 0)])[0], size)
+        return [text(_at(column, 0))] * size
     if isinstance(column, np.ndarray) and column.ndim == 1 and column.dtype.kind in "biuf":
-        return pa.array(column, mask=~np.isfinite(column) if column.dtype.kind == "f" else None)
-    return _texts(_values(column, size))
+        listed = orjson.dumps(np.ascontiguousarray(column), option=orjson.OPT_SERIALIZE_NUMPY)[1:-1]
+        return numbers(listed).split(b",") if size else []
+    return [*map(text, _values(column, size))]
 
 
-def _texts(values: Iterable[Any]) -> Any:
-    """A column of texts for Arrow, null where a cell is empty."""
-    import pyarrow as pa
-
-    return pa.array([_cell(plain(value)) for value in values], pa.string())
-
-
-def _cell(value: Any) -> str | None:
-    """A plain value as a cell that is not quoted yet."""
+def _cell(value: Any) -> bytes:
+    """A value as a cell, in quotes where it needs them."""
+    value = plain(value)
     if isinstance(value, bool):
-        return str(value).lower()
+        return str(value).lower().encode()
     if isinstance(value, list | tuple):
-        return " ".join(printable(str(item)) for item in value) or None
-    if isinstance(value, str):
-        return cell(value) or None
-    return None if value is None else repr(value) if isinstance(value, float) else str(value)
+        shown = " ".join(printable(str(item)) for item in value)
+    else:
+        shown = cell(value) if isinstance(value, str) else "" if value is None else str(value)
+    return ('"{}"'.format(shown.replace('"', '""')) if STRUCTURE.search(shown) else shown).encode()
 
 
 BLOCK_THINGS = 4096

@@ -644,7 +644,8 @@ class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
         )
         values = {name: value for name, value in zip(MEASURED, numbers, strict=False) if value == value}
         status, why = (self._sentence(number, place, which, wavelength_nm) for which in (CODE.status, CODE.note))
-        status = self._remark(number, place) or status if code >= 0 else status
+        depends = bool(self.arrays.depends[place, number])
+        status = self._remark(number, place, depends) or status if code >= 0 else status
         return BandResult(**values, continuum=CONTINUA[code] if code >= 0 else "none", status=status, note=why)
 
     def _sentence(self, number: int, place: int, which: int, wavelength_nm: FloatArray) -> str:
@@ -661,10 +662,10 @@ class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
         text = sentence(code, BANDS[number], self.arrays.numbers[place, number, deepest], wavelength_nm)
         return text if which == CODE.status else f"{self.wanted} not used: {text}"
 
-    def _remark(self, number: int, place: int) -> str:
+    def _remark(self, number: int, place: int, depends: bool) -> str:
         """What is said of a band that is there: that its centre depends on the method, and what else lies in it."""
         at, width = self.arrays.numbers[place, number, [NUMBER.narrow_nm, NUMBER.narrow_width_nm]].tolist()
-        parts = [DEPENDS] if self.arrays.depends[place, number] else []
+        parts = [DEPENDS] if depends else []
         return "; ".join([*parts, *([f"in it {narrow_text(at, width)}"] if at == at else [])])
 
     def texts(self, number: int, which: int) -> list[str]:
@@ -685,9 +686,10 @@ class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
                 sentences[key] = self._sentence(number, place, which, _NOTHING)
             texts[place] = sentences[key]
         seen = self.arrays.codes[:, number, CODE.continuum] >= 0
-        odd = self.arrays.depends[:, number] | seen & np.isfinite(self.arrays.numbers[:, number, NUMBER.narrow_nm])
+        depends = self.arrays.depends[:, number]
+        odd = depends | seen & np.isfinite(self.arrays.numbers[:, number, NUMBER.narrow_nm])
         for place in np.flatnonzero(odd).tolist() if which == CODE.status else ():
-            texts[place] = self._remark(number, place)
+            texts[place] = self._remark(number, place, bool(depends[place]))
         for place, reason in self.reasons.items() if which == CODE.status else ():
             texts[place] = f"no result: {reason}"
         return texts

@@ -4,11 +4,10 @@ A separator is recognised, numbers may have decimal commas, cells may be missing
 line and column. Tables whose form lunarsci lays down (its own, states, trials, lists of pictures) are CSV with a header
 and are read by `lunarsci.io.tables`.
 
-pandas reads plain numbers where they are many; a wrong cell with its line and column, decimal commas beside points and
+orjson reads plain numbers where they are many; a wrong cell with its line and column, decimal commas beside points and
 missing cells of spreadsheets in one table it does not tell.
 """
 
-import io
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -16,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import orjson
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError
@@ -46,11 +46,9 @@ _MISSING = {
 _LINES_LOOKED_AT = 50
 """Lines from which the separator is taken."""
 _PLAIN = b"0123456789+-.eE \t\n"
-"""Bytes of plain numbers and what may stand around them, which pandas reads as we do."""
-_READ_AT_ONCE = 1_000_000
-"""Characters that are made numbers at a time."""
+"""Bytes of plain numbers and what may stand around them, which libraries read as we do."""
 _MANY = 20_000
-"""Characters from which it is quicker to have pandas read numbers than to look at each; measured."""
+"""Characters from which fields are made numbers a line at a time, without a look at each; measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,31 +147,26 @@ def numbers_at_once(lines: Sequence[tuple[int, str]], separator: str) -> FloatAr
     width, size = lines[0][1].count(separator) + 1, sum(len(line) for _, line in lines)
     if separator == " " or size < _MANY or any(line.count(separator) != width - 1 for _, line in lines):
         return None
-    result, step = np.empty((width, len(lines))), max(1, _READ_AT_ONCE * len(lines) // size)
-    for first in range(0, len(lines), step):
-        some = _plain_numbers([line for _, line in lines[first : first + step]], separator)
-        if some is None:
-            return None
-        result[:, first : first + step] = some.reshape(-1, width).T
-    return result
-
-
-def _plain_numbers(lines: Sequence[str], separator: str) -> FloatArray | None:
-    """All fields of some lines, one after the other; None where one is no plain number."""
-    text = "\n".join(lines).encode()
-    if text.translate(None, _PLAIN + separator.encode()):
-        return None
-    import pandas as pd
-
-    newer = tuple(map(int, pd.__version__.split(".")[:2])) >= (3, 1)  # reads exactly, and warns where it is asked to
-    exact: dict[str, Any] = {} if newer else {"float_precision": "round_trip"}
-    how: dict[str, Any] = {"header": None, "dtype": float, "skipinitialspace": True, "skip_blank_lines": False, **exact}
-    fields = io.BytesIO(text.replace(separator.encode(), b"\n"))  # one a line: a column is read faster than a table
+    values = np.empty((len(lines), width))
     try:
-        table = pd.read_csv(fields, sep=",", keep_default_na=False, na_values=[""], **how)
-    except (ValueError, OverflowError):
+        for row, (_, line) in zip(values, lines, strict=True):
+            row[:] = plain_numbers(line, separator)
+    except ValueError:
         return None
-    return table.to_numpy()[:, 0] if table.shape == (len(lines) * (lines[0].count(separator) + 1), 1) else None
+    return np.ascontiguousarray(values.T)
+
+
+def plain_numbers(line: str, separator: str) -> Any:
+    """All fields of a line, None or NaN for an empty one. Raises ValueError where one is no plain number."""
+    if line.encode().translate(None, _PLAIN + separator.encode()):
+        raise ValueError(line)
+    fields = f",{line.replace(separator, ',')},"
+    while ",," in fields:
+        fields = fields.replace(",,", ",null,")
+    try:
+        return orjson.loads(f"[{fields[1:-1]}]")
+    except orjson.JSONDecodeError:  # such as +1, .5 or 1.
+        return np.array([cell.strip() or "nan" for cell in line.split(separator)], float)
 
 
 def _bad_cell(row: Row, column: int, label: str, file: str, decimal_comma: bool) -> str:

@@ -9,11 +9,19 @@ With `--rover` FOLDER has `ce4/reflectance_factor.csv`: 88 targets, each smoothe
 with the noise that its own channels have. `Band.least` was chosen on every second of them, measured on the others.
 
 With `--cut` spectra of FOLDER that go on to 2450 nm are cut before: the truth is the centre of the whole one.
+
+With `--rate COUNT` no FOLDER is needed: how many made-up spectra of 390 channels `lunarsci spectra bands` measures in a
+second, file to file beyond its start, and hylite and Spectral Python (SPy), where they are installed, in memory.
 """
 
 import argparse
-from collections.abc import Sequence
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pandas as pd
@@ -166,15 +174,84 @@ def print_cut(folder: Path) -> None:
             )
 
 
+def spent(task: Callable[[], object]) -> np.ndarray:
+    """Seconds of the clock and of processors that a task takes, its processes included; the least of three. (2,)"""
+    takes = []
+    for _ in range(3):
+        begun = [resource.getrusage(which) for which in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+        clock = time.perf_counter()
+        task()
+        took = time.perf_counter() - clock
+        ended = [resource.getrusage(which) for which in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+        cpu = sum(b.ru_utime + b.ru_stime - a.ru_utime - a.ru_stime for a, b in zip(begun, ended, strict=True))
+        takes.append((took, cpu))
+    return np.min(takes, axis=0)
+
+
+def others(wavelength: np.ndarray, spectra: np.ndarray) -> dict[str, Callable[[], object]]:
+    """What other libraries do nearest to it, those that are installed: minima below the hull in both windows."""
+    tasks: dict[str, Callable[[], object]] = {}
+    try:
+        from hylite.analyse.mwl import minimum_wavelength
+        from hylite.hylibrary import HyLibrary
+
+        library = HyLibrary(spectra, wav=wavelength)
+        windows = ((700.0, 1580.0), (1580.0, 2400.0))
+        for method in ("poly", "gaussian"):
+            tasks[f"hylite, {method}"] = lambda method=method: [
+                minimum_wavelength(library, *window, method=method, vb=False) for window in windows
+            ]
+    except ImportError:
+        print("hylite is not installed")
+    try:
+        from spectral.algorithms.continuum import remove_continuum
+
+        tasks["SPy, hull alone"] = lambda: remove_continuum(spectra, wavelength)
+    except ImportError:
+        print("SPy is not installed")
+    return tasks
+
+
+def rate(count: int) -> None:
+    """Print spectra a second: of the clock, and of processors."""
+    rng, wavelength = np.random.default_rng(1), np.linspace(480.0, 2400.0, 390)
+    depth, centre = rng.uniform(0.02, 0.3, (2, count, 1)), rng.uniform(900.0, 1080.0, (count, 1))
+    absorbed = depth[0] * np.exp(-(((wavelength - centre) / 110) ** 2))
+    absorbed += depth[1] * np.exp(-(((wavelength - 2 * centre) / 220) ** 2))
+    spectra = (0.05 + 5e-5 * wavelength) * np.exp(-absorbed) * (1 + 0.003 * rng.normal(size=absorbed.shape))
+    with TemporaryDirectory() as folder:
+        for errors in (False, True):
+            took = {}
+            for size in (8, count):
+                frame = pd.DataFrame(spectra[:size].T, columns=[f"s{k}" for k in range(size)])
+                if errors:
+                    frame = frame.join(0.003 * frame.add_suffix("_sigma"))
+                file = Path(folder) / f"{size}.csv"
+                frame.set_index(pd.Index(wavelength, name="wavelength_nm")).to_csv(file, float_format="%.6f")
+                line = [sys.executable, "-m", "lunarsci", "spectra", "bands", str(file), "-q", "--force"]
+                took[size] = spent(
+                    lambda line=line, file=file: subprocess.run([*line, "-o", f"{file}.out.csv"], check=True)
+                )
+            clock, cpu = (count - 8) / (took[count] - took[8])
+            print(f"lunarsci{', with errors' if errors else '':15} {clock:8.0f} a second, {cpu:8.0f} of one processor")
+    for name, task in others(wavelength, spectra[:200]).items():
+        clock, cpu = 200 / spent(task)
+        print(f"{name:23} {clock:8.0f} a second, {cpu:8.0f} of one processor")
+
+
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=Path, nargs="?", default=Path())
     parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--draws", type=int, default=2)
     parser.add_argument("--rover", action="store_true")
     parser.add_argument("--cut", action="store_true")
+    parser.add_argument("--rate", type=int, default=0)
     options = parser.parse_args()
+    if options.rate:
+        rate(options.rate)
+        return
     if options.rover or options.cut:
         (rover if options.rover else print_cut)(options.folder)
         return

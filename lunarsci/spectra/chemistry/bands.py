@@ -182,9 +182,9 @@ def _temperature(line: Regression, x: FloatArray) -> Texts:
         more = "" if rate is None else ", which hardly moves this band"
         return np.full(x.shape, f"not corrected for temperature{more}", object)
     unit = "" if line.unit == "-" else f" {line.unit}"
-    changes = np.broadcast_to(100 * rate * line.slope(x), x.shape)
     text = "not corrected for temperature: 100 K above the laboratory's add about"
-    return np.array([f"{text} {change:+.2g}{unit}" for change in changes], object)
+    texts = [f"{text} {change:+.2g}{unit}" for change in np.atleast_1d(100 * rate * line.slope(x)).tolist()]
+    return np.broadcast_to(np.array(texts, object), x.shape).copy()
 
 
 def _gaffey(

@@ -136,10 +136,11 @@ class MapFile:
             links = _coordinates(file, self, dims)
             for layer in self.layers:
                 _netcdf_layer(file, layer, self.dtype(layer), dims, links)
+        with optional("h5py").File(path, "r+") as file:
+            written = [(file[layer.name], layer.name, self.dtype(layer)) for layer in self.layers]
             for rows, arrays in blocks:
-                for layer in self.layers:
-                    values = file.variables[layer.name]
-                    values[rows.start : rows.stop] = np.ascontiguousarray(arrays[layer.name], self.dtype(layer))
+                for values, name, dtype in written:
+                    values[rows.start : rows.stop] = np.ascontiguousarray(arrays[name], dtype)
 
     def _geotiff(self, path: Path, blocks: Iterable[Block]) -> None:
         """Write the map as GeoTIFF, block by block, a band for each layer."""

@@ -7,6 +7,8 @@ import io
 import re
 import warnings
 from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +19,7 @@ from lunarsci.io import inputs
 from lunarsci.io.inputs import InputFile
 from lunarsci.spectra.readers.columns import assign_roles, is_not_a_spectrum, is_wavelength
 from lunarsci.spectra.readers.table import Column, SpectrumTable, length_unit
-from lunarsci.spectra.rows import quoted
+from lunarsci.spectra.rows import plain_numbers, quoted
 
 _LONGEST_LIST = 200
 _ERROR = re.compile(r"uncertainty|sigma|std\w*|error|err|flux_?err\w*", re.IGNORECASE)
@@ -36,24 +38,31 @@ def is_ecsv(source: InputFile, start: str) -> bool:
 
 def spectrum_table(table: Any, source: InputFile, format: str) -> SpectrumTable:
     """Give the columns of an `astropy.table.Table` their roles. Raises DataError for these and for units."""
-    names = [str(name) for name in table.colnames]
-    if len(names) < 2 or len(table) == 0:
-        what = f"{len(names)} columns and {len(table)} rows"
+    units = [_unit(table[name], source.name) for name in table.colnames]
+    return _of_columns([*table.itercols()], [*map(str, table.colnames)], units, table.meta, source, format)
+
+
+def _of_columns(
+    columns: Any, names: Sequence[str], units: Sequence[Any], meta: Any, source: InputFile, format: str
+) -> SpectrumTable:
+    """The same of columns of numbers or texts, (rows,) each."""
+    rows = len(columns[0]) if len(columns) else 0
+    if len(names) < 2 or rows == 0:
+        what = f"{len(names)} columns and {rows} rows"
         raise DataError(f"{source.name}: {what}; a spectrum needs a wavelength and a reflectance column with values")
-    units = [_unit(table[name], source.name) for name in names]
     roles = assign_roles(
         names,
         source,
         wavelength=_wavelength_place(names, units, source.name),
-        left_out=[k for k, name in enumerate(names) if not _is_number_column(table[name]) or _is_physical(units[k])],
+        left_out=[k for k, one in enumerate(columns) if not _is_number_column(one) or _is_physical(units[k])],
     )
 
     def column(k: int) -> Column:
-        numbers = Column(names[k], _values(table[names[k]], source.name), k + 1)
+        numbers = Column(names[k], _values(columns[k], names[k], source.name), k + 1)
         return _wavelength(numbers, units[k], source.name) if k == roles.wavelength else _reflectance(numbers, units[k])
 
-    about = {"header": plain(dict(table.meta))} if table.meta else {}
-    return roles.table(source, format, column, tuple(f"row {k + 1}" for k in range(len(table))), about)
+    about = {"header": plain(dict(meta))} if meta else {}
+    return roles.table(source, format, column, tuple(f"row {k + 1}" for k in range(rows)), about)
 
 
 def plain(value: Any) -> Any:
@@ -73,19 +82,22 @@ def one_line(error: object) -> str:
     return lines[0][:120].rstrip(" .:;")
 
 
+_USUAL = {"": "fraction", "%": "percent", "nm": "nm", "um": "um"}
+"""What units are called that need no astropy, which takes a third of a second to import."""
+
+
 def _unit(column: Any, file: str) -> Any:
-    """Unit of a column for astropy, None for none; what astropy does not recognise is tried as one of ours."""
+    """Unit of a column, one of `_USUAL` or of astropy; None for none. What astropy does not know may be one of ours."""
     from astropy import units as u
 
-    if column.unit is None:
-        return None
+    if column.unit is None or str(column.unit) in _USUAL:
+        return None if column.unit is None else _USUAL[str(column.unit)]
     if not isinstance(column.unit, u.UnrecognizedUnit):
         return u.Unit(column.unit)
     text = str(column.unit).strip().casefold()
     if text in _DIMENSIONLESS:
-        return u.dimensionless_unscaled
-    length = "%" if text in _PERCENT else length_unit(text)
-    return column.unit if length is None else u.Unit(length)
+        return "fraction"
+    return "percent" if text in _PERCENT else length_unit(text) or column.unit
 
 
 def _is_number_column(column: Any) -> bool:
@@ -93,18 +105,18 @@ def _is_number_column(column: Any) -> bool:
 
 
 def _is_spectral(unit: Any) -> bool:
+    if unit is None or isinstance(unit, str):
+        return unit in ("nm", "um")
     from astropy import units as u
 
-    return unit is not None and bool(unit.is_equivalent(u.nm, u.spectral()))
+    return bool(unit.is_equivalent(u.nm, u.spectral()))
 
 
 def _is_physical(unit: Any) -> bool:
-    from astropy import units as u
-
-    return unit is not None and not unit.is_equivalent(u.dimensionless_unscaled)
+    return _is_spectral(unit) if unit is None or isinstance(unit, str) else not unit.is_equivalent("")
 
 
-def _wavelength_place(names: list[str], units: list[Any], file: str) -> int | None:
+def _wavelength_place(names: Sequence[str], units: Sequence[Any], file: str) -> int | None:
     """Place of the one column with a spectral unit, or None where a name must decide."""
     if any(is_wavelength(name) for name in names):
         return None
@@ -118,44 +130,34 @@ def _wavelength_place(names: list[str], units: list[Any], file: str) -> int | No
     return spectral[0] if spectral else None
 
 
-def _values(column: Any, file: str) -> FloatArray:
+def _values(column: Any, name: str, file: str) -> FloatArray:
     """A column as floats, (rows,), NaN where it is masked. Raises DataError for one of another kind."""
     if not _is_number_column(column) or column.ndim != 1:
-        raise DataError(f"{file}: column {quoted(str(column.name))} does not hold one number a row; correct it")
+        raise DataError(f"{file}: column {quoted(name)} does not hold one number a row; correct it")
     values = np.ma.filled(np.ma.asarray(column).astype(float), np.nan)
     return np.array(values, dtype=float)
 
 
 def _wavelength(column: Column, unit: Any, file: str) -> Column:
     """A column with its values in nm or um. Raises DataError for a unit that is no wavelength."""
+    if unit is None or unit in ("nm", "um"):
+        return replace(column, unit=unit)
+    if not _is_spectral(unit):
+        name = next((text for text, ours in _USUAL.items() if ours == unit), str(unit))
+        raise DataError(f"{file}: column {column.label} has the unit '{name}', which is no wavelength; use nm or um")
     from astropy import units as u
 
-    if unit is None:
-        return column
-    name = str(unit)
-    if unit in (u.nm, u.um):
-        return Column(column.name, column.values, column.position, "nm" if unit == u.nm else "um")
-    if not _is_spectral(unit):
-        raise DataError(
-            f"{file}: column {quoted(str(column.name))} has the unit '{name}', which is no wavelength; use nm or um"
-        )
     values = np.full(column.values.shape, np.nan)
     good = np.isfinite(column.values) & (column.values > 0)
     values[good] = (column.values[good] * unit).to_value(u.nm, u.spectral())
-    return Column(column.name, values, column.position, "nm", name)
+    return Column(column.name, values, column.position, "nm", str(unit))
 
 
 def _reflectance(column: Column, unit: Any) -> Column:
     """A column with its values as fractions or per cent, as far as its unit says."""
-    from astropy import units as u
-
-    if unit is None:
-        return column
-    if unit == u.percent:
-        return Column(column.name, column.values, column.position, "percent")
-    return Column(
-        column.name, column.values * unit.to(u.dimensionless_unscaled), column.position, "fraction", str(unit)
-    )
+    if unit is None or isinstance(unit, str):
+        return replace(column, unit=unit)
+    return Column(column.name, column.values * unit.to(""), column.position, "fraction", str(unit))
 
 
 _COMMA = re.compile(r"^# delimiter: *['\"]?,", re.MULTILINE)
@@ -164,13 +166,36 @@ _COMMA = re.compile(r"^# delimiter: *['\"]?,", re.MULTILINE)
 def read_ecsv(source: InputFile) -> SpectrumTable:
     """Read an ECSV table; column units and header metadata are kept. Raises DataError when it is broken."""
     text = inputs.text(source)
+    usual = _usual_columns(text)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        table = _parsed(text, source.name)
+        table = _parsed(text, source.name) if usual is None else None
     _check_names(text, source.name)
     for message in caught:
         warn(f"{source.name}: {one_line(message.message)}")
-    return spectrum_table(table, source, "ecsv")
+    return spectrum_table(table, source, "ecsv") if usual is None else _of_columns(*usual, source, "ecsv")
+
+
+def _usual_columns(text: str) -> tuple[FloatArray, list[str], list[str | None], dict[str, Any]] | None:
+    """Columns, (n, rows), names, units and header of an ECSV table of plain numbers in units of `_USUAL`.
+
+    None for any other, and where something is wrong: astropy reads it, or says what.
+    """
+    import yaml
+
+    lines = [line for line in text.splitlines() if line.strip()]
+    count = next((k for k, line in enumerate(lines) if not line.startswith("#")), len(lines))
+    try:
+        about = yaml.load("\n".join(line[2:] for line in lines[1:count]), getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+        names, kinds = ([one[key] for one in about["datatype"]] for key in ("name", "datatype"))
+        units = [_USUAL[one["unit"]] if "unit" in one else None for one in about["datatype"]]
+        meta, separator = dict(about.get("meta", ())), about.get("delimiter", " ")
+        columns = np.array([plain_numbers(line, separator) for line in lines[count + 1 :]], float).T
+        plainly = all(re.fullmatch(r"u?int\d+|float\d+", kind) for kind in kinds) and "subtype" not in text
+        usual = plainly and lines[count].split(separator) == names and len(columns) == len(names)
+    except (yaml.YAMLError, LookupError, ValueError, TypeError, AttributeError):
+        return None
+    return (columns, names, units, meta) if usual and "__serialized_columns__" not in meta else None
 
 
 def _check_names(text: str, file: str) -> None:

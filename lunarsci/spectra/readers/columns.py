@@ -256,24 +256,22 @@ def assign_roles(
     or an uncertainty that belongs to no column or to several.
     """
     _check_unique(names, source.name)
+    kinds = [_kind_of(name) for name in names]
     if wavelength is None:
-        wavelength = _wavelength_place(names, source.name)
+        wavelength = _wavelength_place(names, kinds, source.name)
     others = [k for k in range(len(names)) if k != wavelength]
     systematic = _systematic(names, others, source.name)
     shifts = {place for columns in systematic.values() for _, place in columns}
     others = [k for k in others if k not in shifts]
-    dropped = [
-        k for k in others if k in left_out or is_not_a_spectrum(names[k]) or _is_wavelength_error(names[k])
-        or is_wavelength(names[k])
-    ]  # fmt: skip
-    plain = [
-        k for k in others if k not in dropped and quantity_of(names[k]) is None and not says_error(names[k])
-    ]  # fmt: skip
-    dropped += [k for k in others if plain and k not in (*plain, *dropped) and not says_error(names[k])]
-    rest = [k for k in others if k not in dropped]
-    sigmas = _sigmas(names, rest, source.name)
+    dropped = [k for k in others if k in left_out or kinds[k] in ("nothing", "wavelength")]
+    reflectances = [k for k in sorted({*others} - {*dropped}) if kinds[k] != "error"]
+    computed = [k for k in reflectances if kinds[k] == "computed"]
+    dropped += computed if len(computed) < len(reflectances) else ()
+    rest = sorted({*others} - {*dropped})
+    sigmas = _sigmas(names, rest, {k for k in rest if kinds[k] == "error"}, source.name)
     listed = ", ".join(quoted(names[k]) for k in dropped)
-    spectra = tuple((k, sigmas.get(k)) for k in rest if k not in sigmas.values())
+    errors = {*sigmas.values()}
+    spectra = tuple((k, sigmas.get(k)) for k in rest if k not in errors)
     if not spectra:
         why = f" beside {listed}" if dropped else ""
         raise DataError(
@@ -285,15 +283,24 @@ def assign_roles(
     return Roles(wavelength, spectra, systematic)
 
 
+def _kind_of(name: str) -> str:
+    """What a name says that a column is: a wavelength, nothing of a spectrum, its error, a reflectance."""
+    if is_wavelength(name):
+        return "nothing" if _is_wavelength_error(name) else "wavelength"
+    if is_not_a_spectrum(name) or _is_wavelength_error(name):
+        return "nothing"
+    return "error" if says_error(name) else "reflectance" if quantity_of(name) is None else "computed"
+
+
 def _check_unique(names: Sequence[str], file: str) -> None:
-    twice = [name for name, count in Counter(n for n in names if n and not says_error(n)).items() if count > 1]
+    twice = [name for name, count in Counter(names).items() if count > 1 and name and not says_error(name)]
     if twice:
         raise DataError(f"{file}: two columns are named {quoted(twice[0])}; give each column its own name")
 
 
-def _wavelength_place(names: Sequence[str], file: str) -> int:
+def _wavelength_place(names: Sequence[str], kinds: Sequence[str], file: str) -> int:
     """Place of the wavelength column: that with such a name, else the first. Raises DataError for two, or none."""
-    result = [k for k, name in enumerate(names) if is_wavelength(name) and not _is_wavelength_error(name)]
+    result = [k for k, what in enumerate(kinds) if what == "wavelength"]
     result = [k for k in result if not _WAVENUMBER & {*name_tokens(names[k])}] or result
     if len(result) > 1:
         raise DataError(
@@ -323,8 +330,8 @@ def says_error(name: str) -> bool:
     return word in _SIGMA or _SIGMA_WORD.match(word) is not None
 
 
-def _sigmas(names: Sequence[str], places: Sequence[int], file: str) -> dict[int, int]:
-    """Place of the uncertainty of each reflectance place that has one."""
+def _sigmas(names: Sequence[str], places: Sequence[int], errors: Collection[int], file: str) -> dict[int, int]:
+    """Place of the uncertainty of each reflectance place that has one; names of `errors` say nothing else."""
     plain = {names[k]: k for k in places} | {without_unit(names[k]): k for k in places}
     pairs: dict[int, int] = {}
     bare = []
@@ -333,10 +340,12 @@ def _sigmas(names: Sequence[str], places: Sequence[int], file: str) -> dict[int,
         last, owner = _LAST_WORD.match(name), _owner(name, plain)
         if owner is not None:
             _pair(pairs, owner, k, names, file)
-        elif says_error(name) or says_error(names[k]):
+        elif k in errors or (name != names[k] and says_error(name)):
             bare.append(k)
         elif last is not None and says_error(last[2]):
             _pair(pairs, None, k, names, file)
+    if not bare:
+        return pairs
     taken = {*pairs, *pairs.values(), *bare}
     alone = [k for k in places if k not in taken]
     plainly = alone if len(alone) == 1 else [k for k in alone if names[k] and _is_plain(without_unit(names[k]))]
@@ -391,9 +400,13 @@ def only_spectra(table: SpectrumTable, deleted: IntArray) -> tuple[SpectrumTable
     values = table.reflectances
     low, high = np.fmin.reduce(values, axis=1), np.fmax.reduce(values, axis=1)
     unnamed = np.array([stated_unit(column) is None for column, _ in table.spectra])
-    plain = [high[k] <= MAX_FRACTION for k, (one, _) in enumerate(table.spectra) if one.name and _is_plain(one.name)]
     running = (np.diff(values, axis=1) == 1.0).all(axis=1) & (values.shape[1] > 2)
-    constant = unnamed & ((low > MAX_FRACTION) & ((low == high) | any(plain)) | running)
+    large = low > MAX_FRACTION
+    plain = large.any() and any(
+        top <= MAX_FRACTION and one.name and _is_plain(one.name)
+        for top, (one, _) in zip(high.tolist(), table.spectra, strict=True)
+    )
+    constant = unnamed & (large & ((low == high) | plain) | running)
     if constant.any() and not constant.all():
         retained, left = (np.flatnonzero(which).tolist() for which in (~constant, constant))
         dropped = some_of([table.spectra[k][0].label for k in left], MOST_NAMED)

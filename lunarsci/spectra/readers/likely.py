@@ -12,10 +12,10 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
-from lunarsci.arrays import NORMAL_MAD, SIGNIFICANCE, BoolArray, FloatArray, IntArray, spans
+from lunarsci.arrays import NORMAL_MAD, SIGNIFICANCE, BoolArray, FloatArray, IndexArray, IntArray, spans
 from lunarsci.errors import DataError
 from lunarsci.heights.grid import far_ends
-from lunarsci.spectra.collection import SpectrumRows
+from lunarsci.spectra.collection import SpectrumRows, alike_channels
 from lunarsci.spectra.noise import SECOND_DIFFERENCE
 from lunarsci.spectra.readers.table import MAX_PERCENT, SpectrumTable
 from lunarsci.spectra.spectrum import NARROW_NM
@@ -135,10 +135,11 @@ def _odd(values: FloatArray, usable: BoolArray, sigma: FloatArray | None) -> dic
     enough = count >= FEWEST
     odd = {"bright": enough & (2 * (usable & (values > BRIGHTEST)).sum(axis=1) > count)}
     if sigma is not None:
-        each = [(v[u], s[u]) for v, u, s in zip(values, usable, sigma, strict=True)]
-        odd["smooth"] = np.array(
-            [n and 0 < TOO_SMOOTH * scatter_of(v) < np.median(s) for n, (v, s) in zip(enough, each, strict=True)], bool
-        )
+        odd["smooth"] = np.zeros(len(values), bool)
+        for channels, rows in _judged(usable, FEWEST):
+            alike = np.ix_(rows, channels)
+            scatter = TOO_SMOOTH * scatter_of(values[alike])
+            odd["smooth"][rows] = (scatter > 0) & (scatter < np.median(sigma[alike], axis=1))
     return odd
 
 
@@ -181,39 +182,43 @@ def without_lone(rows: SpectrumRows) -> tuple[SpectrumRows, list[int]]:
 
     One such channel moves a band centre by ten times its error, if it lies in the band.
     """
-    mask, odd = rows.mask, list[int]()
+    mask, odd = rows.mask.copy(), list[int]()
     gate = math.sqrt(2.0 * math.log(mask.size / SIGNIFICANCE))
-    for row, usable in enumerate(~rows.mask):
-        if usable.sum() >= FEWEST and (result := _lone(rows.reflectance[row][usable], gate)).any():
-            mask = mask.copy() if not odd else mask
-            mask[row, np.flatnonzero(usable)[result]] = True
-            odd.append(row)
-    return (replace(rows, mask=mask) if odd else rows), odd
+    for block in spans(len(rows), _AT_ONCE):
+        values = rows.reflectance[block.start : block.stop]
+        for channels, alike in _judged(~rows.mask[block.start : block.stop], FEWEST):
+            row, channel = np.nonzero(_lone(np.log(values[np.ix_(alike, channels)]), gate))
+            mask[block.start + alike[row], np.flatnonzero(channels)[channel]] = True
+            odd += (block.start + np.unique(alike[row])).tolist()
+    return (replace(rows, mask=mask) if odd else rows), sorted(odd)
 
 
-def _lone(values: FloatArray, gate: float) -> BoolArray:
-    """Which channels lie far from both their neighbours, to the same side, by more than `gate` times the noise. (c,)"""
-    level = np.log(values)
-    step, noise = np.diff(level), scatter_of(level) * math.sqrt(2.0)
-    least = np.minimum(np.abs(step[:-1]), np.abs(step[1:]))
-    far = least > max(LONE_STEP, gate * noise)
-    return np.concatenate([[False], far & (step[:-1] * step[1:] < 0), [False]])
+def _judged(usable: BoolArray, least: int) -> list[tuple[BoolArray, IndexArray]]:
+    """Channels (c,) that spectra share, so many at least, and the rows of `usable` (n, c) that have just these."""
+    return [(channels, rows) for channels, rows in alike_channels(usable) if channels.sum() >= least]
+
+
+def _lone(level: FloatArray, gate: float) -> BoolArray:
+    """Which channels of ln R (n, c) lie far from both neighbours, to the same side, by more than `gate` noises."""
+    step = np.diff(level, axis=1)
+    least = np.minimum(np.abs(step[:, :-1]), np.abs(step[:, 1:]))
+    far = (least > LONE_STEP) & (step[:, :-1] * step[:, 1:] < 0)
+    rows = np.flatnonzero(far.any(axis=1))
+    far[rows] &= least[rows] > gate * math.sqrt(2.0) * scatter_of(level[rows])[:, None]
+    return np.pad(far, ((0, 0), (1, 1)))
 
 
 def _steps(wavelength_nm: FloatArray, values: FloatArray, usable: BoolArray) -> list[tuple[int, float, float]]:
     """Of spectra (n, c) those with a step: which row, the largest step as a share of the value, and where. [nm]"""
     result = []
-    alike, which = np.unique(usable & (values > 0), axis=0, return_inverse=True)
-    for kind, channels in enumerate(alike):
-        if channels.sum() < 4 * STEP_CHANNELS:
-            continue
-        rows = np.flatnonzero(which.ravel() == kind)
+    for channels, alike in _judged(usable & (values > 0), 4 * STEP_CHANNELS):
         place = wavelength_nm[channels]
-        sure, step = _step_at(place, np.log(values[np.ix_(rows, channels)]))
-        for row, sizes, steps in zip(rows, sure, step, strict=True):
-            if sizes[k := int(sizes.argmax())] > STEP_SURE:
-                edge = k + STEP_CHANNELS - 1
-                result.append((int(row), float(np.expm1(steps[k])), float(place[edge : edge + 2].mean())))
+        sure, step = _step_at(place, np.log(values[np.ix_(alike, channels)]))
+        at = sure.argmax(axis=1)
+        for row in np.flatnonzero(sure.max(axis=1) > STEP_SURE).tolist():
+            edge = int(at[row]) + STEP_CHANNELS - 1
+            size = float(np.expm1(step[row, at[row]]))
+            result.append((int(alike[row]), size, float(place[edge : edge + 2].mean())))
     return sorted(result)
 
 
@@ -227,24 +232,38 @@ def _step_at(place_nm: FloatArray, level: FloatArray) -> tuple[FloatArray, Float
     middle = x.mean(axis=1)
     away = x - middle[:, None]
     spread = (away**2).sum(axis=1)
-    windows = sliding_window_view(level, size, axis=1)
-    mean, slope = windows.mean(axis=2), (windows * away).sum(axis=2) / spread
-    left_over = ((windows - mean[..., None] - slope[..., None] * away) ** 2).sum(axis=2)
+    parts = [level[:, k : k + len(x)] for k in range(size)]
+    mean = np.asarray(sum(parts) / size)
+    slope = np.asarray(sum(part * away[:, k] for k, part in enumerate(parts)) / spread)
     low = np.arange(len(place_nm) - 2 * size + 1)
     high, edge = low + size, low + size - 1
     at = 0.5 * (place_nm[edge] + place_nm[edge + 1])
     step = mean[:, high] + slope[:, high] * (at - middle[high])
     step = step - mean[:, low] - slope[:, low] * (at - middle[low])
     share = 2.0 / size + (at - middle[low]) ** 2 / spread[low] + (at - middle[high]) ** 2 / spread[high]
-    variance = (left_over[:, low] + left_over[:, high]) / (2 * size - 4)
-    usual = np.median(variance, axis=1, keepdims=True)
+
+    def variance(row: IntArray, gap: IntArray) -> FloatArray:
+        squares = (
+            (level[row, line + k] - mean[row, line] - slope[row, line] * away[line, k]) ** 2
+            for line in (gap, gap + size) for k in range(size)
+        )  # fmt: skip
+        return np.asarray(sum(squares) / (2 * size - 4))
+
+    good = (np.abs(step) > LEAST_STEP) & (np.diff(place_nm)[edge] < NARROW_NM)
+    row, gap = good.nonzero()
+    # The usual variance, which takes a median, can only make them less sure.
+    rows = np.unique(row[step[row, gap] ** 2 > STEP_SURE**2 * variance(row, gap) * share[gap]])
+    sure, left_over = np.zeros_like(step), variance(rows[:, None], low)
+    usual = np.median(left_over, axis=1, keepdims=True)
     with np.errstate(divide="ignore", invalid="ignore"):
-        sure = np.abs(step) / np.sqrt(np.maximum(variance, usual) * share)
-    apart = np.diff(place_nm)
-    good = (np.abs(step) > LEAST_STEP) & (apart[edge] < NARROW_NM)
-    return np.where(good, sure, 0.0), step
+        result = np.abs(step[rows]) / np.sqrt(np.maximum(left_over, usual) * share)
+    sure[rows] = np.where(good[rows], result, 0.0)
+    return sure, step
 
 
-def scatter_of(values: FloatArray) -> float:
-    """Of three channels or more, about straight lines between their neighbours: 6 variances of one. [as values]"""
-    return float(np.median(np.abs(np.diff(values, 2)))) * NORMAL_MAD / SECOND_DIFFERENCE
+def scatter_of(values: FloatArray) -> Any:
+    """Of three channels or more, about straight lines between their neighbours: 6 variances of one. (..., c) to (...)
+
+    In the unit of the values.
+    """
+    return np.median(np.abs(np.diff(values, 2)), axis=-1) * NORMAL_MAD / SECOND_DIFFERENCE

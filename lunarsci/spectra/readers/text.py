@@ -1,7 +1,7 @@
 """Spectra in tables of text.
 
 CSV, TSV, semicolons with decimal commas, or blanks between the columns; a spectrum in a column or in a row; lines of
-keys, names and units above, text below. pandas reads the numbers where there are many; which lines and columns of a
+keys, names and units above, text below. orjson reads the numbers where there are many; which lines and columns of a
 table are what, it does not tell.
 """
 

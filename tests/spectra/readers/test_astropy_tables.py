@@ -11,6 +11,7 @@ from astropy.io import fits
 from astropy.table import MaskedColumn, Table
 
 from lunarsci.errors import LunarSciWarning
+from lunarsci.spectra.readers import astropy_tables
 from lunarsci.spectra.spectrum import Spectrum
 
 Read = Callable[..., list[Spectrum]]
@@ -43,6 +44,42 @@ def test_units_metadata_and_masked_values(read: Read) -> None:
     assert spectrum.id == "basalt"
     assert spectrum.metadata["header"] == {"instrument": "VNIS", "drive": 12}
     assert spectrum.metadata["channels_missing"] == 1
+
+
+@pytest.mark.parametrize("delimiter", [" ", ","])
+@pytest.mark.parametrize(("unit", "share"), [("", 1.0), ("%", 100.0), (None, 1.0)])
+def test_a_plain_table_is_read_as_astropy_reads_it(
+    read: Read, monkeypatch: pytest.MonkeyPatch, delimiter: str, unit: str | None, share: float
+) -> None:
+    """Numbers of any digits, whole ones, widths, and a header whose values lists and mappings hold."""
+    rng, wavelength = np.random.default_rng(4), np.linspace(450.0, 2400.0, 40)
+    rock = share * rng.uniform(0.1, 0.4, 40)
+    columns: dict[str, Any] = {"wavelength": wavelength * u.nm, "rock": rock, "rock_sigma": rock * 1e-7}
+    columns |= {"width": np.full(40, 5) * u.nm, "whole": np.full(40, round(share))}
+    table = Table(columns, meta={"title": "µ", "notes": ["a", {"b": 1.5}], "none": None, "synthetic": True})
+    for name in ("rock", "rock_sigma", "whole"):
+        table[name].unit = unit
+    stream = io.StringIO()
+    table.write(stream, format="ascii.ecsv", delimiter=delimiter)
+    with pytest.warns(LunarSciWarning, match="left out 'width'"):
+        plain = read(stream.getvalue(), "rock.ecsv")
+        monkeypatch.setattr(astropy_tables, "_usual_columns", lambda text: None)
+        slow = read(stream.getvalue(), "rock.ecsv")
+    assert [one.id for one in plain] == ["rock", "whole"]
+    for one, other in zip(plain, slow, strict=True):
+        assert (one.id, one.metadata) == (other.id, other.metadata)
+        np.testing.assert_array_equal(one.wavelength_nm, other.wavelength_nm)
+        np.testing.assert_array_equal(one.reflectance, other.reflectance)
+        np.testing.assert_array_equal(one.uncertainty, other.uncertainty)
+
+
+def test_a_plain_table_needs_no_astropy() -> None:
+    lines = [line for line in BY_HAND.splitlines() if '""' not in line]
+    columns, names, units, meta = astropy_tables._usual_columns("\n".join(lines)) or pytest.fail("astropy is needed")
+    assert (names, units) == (["wavelength", "basalt", "basalt_sigma"], ["um", "percent", "percent"])
+    assert columns.tolist() == [[0.4, 0.6], [10.0, 30.0], [1.0, 3.0]]
+    assert meta == {"instrument": "VNIS", "drive": 12}
+    assert astropy_tables._usual_columns(BY_HAND) is None
 
 
 def test_content_decides_whatever_the_name(read: Read) -> None:
