@@ -35,6 +35,8 @@ PROFILED = {
     "sinkage_m": "m",
 }
 """Quantities of the profiles, and their units."""
+SHARES = (5, 50, 95, 0, 100)
+"""Of the members, in the order of a profile's columns. [%]"""
 ALL = "all"
 """In the column `wheel` of a profile: all wheels together."""
 QUANTITIES = (
@@ -57,9 +59,11 @@ def spread(values: FloatArray, reached: BoolArray) -> FloatArray:
     """
     values = values if values.ndim == 3 else values[..., None]
     counted = reached[..., None] & ~np.isnan(values)
-    rows = np.full((5, values.shape[1]), np.nan)
-    for sample in np.flatnonzero(counted.any(axis=(0, 2))):
-        rows[:, sample] = np.percentile(values[:, sample][counted[:, sample]], (5, 50, 95, 0, 100))
+    rows, whole = np.full((5, values.shape[1]), np.nan), counted.all(axis=(0, 2))
+    if whole.any():
+        rows[:, whole] = np.percentile(values[:, whole], SHARES, axis=(0, 2))
+    for sample in np.flatnonzero(counted.any(axis=(0, 2)) & ~whole):
+        rows[:, sample] = np.percentile(values[:, sample][counted[:, sample]], SHARES)
     return rows
 
 
@@ -111,8 +115,10 @@ def state_table(prediction: Prediction) -> "pd.DataFrame":
     table.insert(0, "member", np.repeat(member, count))
     table.insert(1, "distance_m", np.repeat(prediction.distance_m[sample], count))
     table.insert(2, "time_s", np.repeat(prediction.time_s[sample], count))
-    table.insert(3, "wheel", np.tile(names, len(member)))
-    return table.assign(rover=prediction.rover.written, ground=prediction.terrain.written)
+    table.insert(3, "wheel", pd.Categorical.from_codes(np.tile(np.arange(count), len(member)), names))
+    for name, text in (("rover", prediction.rover.written), ("ground", prediction.terrain.written)):
+        table[name] = pd.Categorical.from_codes(np.zeros(len(table), dtype=np.int8), [text])
+    return table
 
 
 def held_table(result: PrescribedLoads) -> "pd.DataFrame":
