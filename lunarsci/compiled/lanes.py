@@ -6,8 +6,8 @@ together with a plain number. Where the processor has shorter registers the comp
 
 Calls into the C library would hold a loop to one argument at a time. Sines, exponentials and logarithms are sums
 without branches instead, exact to a few units in the last place within their ranges. Series: Abramowitz & Stegun
-(1964), 4.1.24, 4.2.1, 4.3.65, 4.3.66, 4.4.34, 4.4.42; arguments are reduced as by Cody & Waite (1980), Software Manual for
-the Elementary Functions, ch. 5 and 6.
+(1964), 4.1.24, 4.2.1, 4.3.65, 4.3.66, 4.4.34, 4.4.42; arguments are reduced as by Cody & Waite (1980), Software Manual
+for the Elementary Functions, ch. 5 and 6.
 
 It is our own since numba has no type for eight numbers side by side; fits and drives in lanes were measured several
 times as fast as one after the other.

@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
+from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -167,12 +168,21 @@ def parquet_tables(stream: InputStream) -> "Iterator[pd.DataFrame]":
         )
 
 
-def csv_bytes(table: "pd.DataFrame") -> bytes:
-    """A table as CSV, nine significant digits."""
+def csv_bytes(table: "pd.DataFrame | Iterable[pd.DataFrame]") -> bytes:
+    """A table as CSV, nine significant digits; also in pieces of rows, which need not be there together."""
+    import pandas as pd
+
     written = io.BytesIO()
-    header = io.StringIO()
-    csv.writer(header, lineterminator="\n").writerow(table)
-    written.write(header.getvalue().encode())
+    for number, piece in enumerate([table] if isinstance(table, pd.DataFrame) else table):
+        if not number:
+            header = io.StringIO()
+            csv.writer(header, lineterminator="\n").writerow(piece)
+            written.write(header.getvalue().encode())
+        _write_rows(piece, written)
+    return written.getvalue()
+
+
+def _write_rows(table: "pd.DataFrame", written: io.BytesIO) -> None:
     columns = [column for _, column in table.items()]
     is_number = np.array([column.dtype.kind == "f" for column in columns])
     numbers = [column.to_numpy(np.float64) for column in columns if column.dtype.kind == "f"]
@@ -180,14 +190,14 @@ def csv_bytes(table: "pd.DataFrame") -> bytes:
     pool, starts = _pooled([text for _, texts in others for text in texts])
     firsts = np.cumsum([0, *(len(texts) for _, texts in others)])
     order = np.where(is_number, np.cumsum(is_number) - 1, -np.cumsum(~is_number))
-    room = np.empty(PIECE_ROWS * len(order) * max(np.diff(starts).max(initial=0) + 1, WIDEST), np.uint8)
+    widest = len(numbers) * WIDEST + sum(1 + np.diff(starts)[a:b].max() for a, b in pairwise(firsts))
+    room = np.empty(min(PIECE_ROWS, len(table)) * widest, np.uint8)
     for rows in spans(len(table), PIECE_ROWS):
         piece, size = slice(rows.start, rows.stop), len(rows)
         values = np.reshape([column[piece] for column in numbers], (len(numbers), size))
         codes = [first + column[piece] for (column, _), first in zip(others, firsts, strict=False)]
         made = put_rows(values, np.reshape(codes, (len(codes), size)).astype(np.int64), order, pool, starts, room)
         written.write(room[:made])
-    return written.getvalue()
 
 
 def _coded(column: "pd.Series") -> tuple[IntArray, list[str]]:

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.special import gammaincc
 
 from lunarsci.arrays import FloatArray
+from lunarsci.compiled import each_in_threads
 from lunarsci.ranges import ACUTE_DEG, NOT_NEGATIVE, POSITIVE, check_each, refuse
 from lunarsci.regolith import inversion
 from lunarsci.regolith.forces import shear_sign_code, warn_of_shear_sign
@@ -81,10 +82,10 @@ def estimate(values: FloatArray, name: str, states: int = 1) -> Estimate:
     share = good.size / drawn.size
     if not np.isfinite(nominal).any() or share < MIN_SOLVED:
         return Estimate(None, solved=share, reason=_reason(name))
-    low, high = np.percentile(good, PERCENTILES)
-    value = float(np.nanmedian(nominal))
+    sigma, value = float(np.std(good, ddof=1)), float(np.nanmedian(nominal))
+    low, high = np.percentile(good, PERCENTILES, overwrite_input=True)
     reason = "" if share == 1 else f"{_percent(1 - share)} of the draws have no solution and are left out"
-    return Estimate(value, float(np.std(good, ddof=1)), float(low), float(high), share, reason=reason)
+    return Estimate(value, sigma, float(low), float(high), share, reason=reason)
 
 
 def _percent(share: float) -> str:
@@ -223,7 +224,11 @@ def identify(
     pooled = min(draws, max(LEAST_POOLED, POOLED_DRAWS // len(states)))
     observations, measured, drawn = [], [], []
     for number, (name, values, sigmas) in enumerate(zip(states.id, states.values, states.sigmas, strict=True), 1):
-        sample = np.vstack([values, values + sigmas * random.standard_normal((draws, values.size))])
+        sample = np.zeros((1 + draws, values.size))
+        random.standard_normal(out=sample[1:])
+        sample *= sigmas
+        sample[0] = 0.0  # where an error is not known, too
+        sample += values
         stresses = inversion.invert_states(sample, wheel.vector(), given.shear_modulus_mm * 1e-3, code)
         observations.append(_Solved(stresses, given).record(name))
         measured.append(stresses[:1].copy())
@@ -256,7 +261,8 @@ class _Solved:
     """
 
     def __init__(self, stresses: FloatArray, given: Assumptions, states: int = 1) -> None:
-        self.sigma_m, self.tau_x, self.tau_y, self.depth, self.mobilised, self.displacement = stresses.T
+        columns = np.ascontiguousarray(stresses.T)
+        self.sigma_m, self.tau_x, self.tau_y, self.depth, self.mobilised, self.displacement = columns
         self.given, self.states = given, states
         with np.errstate(all="ignore"):
             self.parameters = self._parameters()
@@ -353,14 +359,17 @@ def _curves(solved: _Solved) -> dict[str, list[dict[str, Any]]]:
         "lateral": ("lateral_modulus_mm", "external_friction_angle_deg", solved.external_friction_angle),
     }
 
-    def point(x_name: str, x: float, y_name: str, y: Estimate) -> dict[str, Any]:
-        return {x_name: float(x), y_name: y.value, "low": y.low, "high": y.high}
+    curves = {curve: [{x_name: float(x)} for x in CURVES[x_name]] for curve, (x_name, _, _) in laws.items()}
+    points: list[tuple[str, dict[str, Any]]] = [(curve, point) for curve in curves for point in curves[curve]]
 
-    with np.errstate(all="ignore"):
-        return {
-            curve: [point(x_name, x, y_name, estimate(law(x), y_name, solved.states)) for x in CURVES[x_name]]
-            for curve, (x_name, y_name, law) in laws.items()
-        }
+    def solve(number: int) -> None:
+        (curve, point), (x_name, y_name, law) = points[number], laws[points[number][0]]
+        with np.errstate(all="ignore"):
+            y = estimate(law(point[x_name]), y_name, solved.states)
+        point.update({y_name: y.value, "low": y.low, "high": y.high})
+
+    each_in_threads(solve, len(points))
+    return curves
 
 
 LABELS = {

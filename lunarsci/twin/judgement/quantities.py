@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,8 @@ from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, STATE_COLUMNS, Predi
 
 BLOCK = 4096
 """Poses that a thread looks at together."""
+_CLEARANCES: WeakKeyDictionary[Prediction, tuple[FloatArray, FloatArray]] = WeakKeyDictionary()
+"""What `clearance` has found, as long as the predictions are there."""
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
@@ -195,14 +198,17 @@ def clearance(prediction: Prediction) -> tuple[FloatArray, FloatArray]:
     Returns it [m] and the share of the underside that is over ground of unknown height [-], (members, samples) both.
     The distance counts the known ground only, is NaN where none is known, and negative where the chassis would be in
     the ground; the drive itself goes on as if nothing had touched. Wheel tracks do not lower the ground. The highest
-    ground below the whole underside counts: every node, the places half-way between nodes, and below the edges.
+    ground below the whole underside counts: every node, the places half-way between nodes, and below the edges. It is
+    found once for a prediction.
 
     Raises ParameterError for a rover without a body.
     """
     body = prediction.rover.body
     if body is None:
         raise ParameterError(f"{prediction.rover.name} has no [body]; add the table to the rover file as in yutu2's")
-    return clearance_of_poses(prediction, body, prediction.paths)
+    if prediction not in _CLEARANCES:
+        _CLEARANCES[prediction] = clearance_of_poses(prediction, body, prediction.paths)
+    return _CLEARANCES[prediction]
 
 
 def exclusion_distance(prediction: Prediction, circles: tuple[ExclusionZone, ...] | None = None) -> FloatArray:

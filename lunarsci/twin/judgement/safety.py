@@ -248,7 +248,8 @@ def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
     Jeffreys' law as `twin plan` counts it, is at most that, and no circle is entered and no battery empty. Fewer
     members than can promise the risk are held against the first rule.
     """
-    prediction = prediction if plan is None else dataclasses.replace(prediction, plan=plan)
+    if plan is not None and plan is not prediction.plan:
+        prediction = dataclasses.replace(prediction, plan=plan)
     check_limits(prediction.plan.limits, prediction.rover, prediction.plan.origin)
     finished = prediction.finished
     worst = worst_values(prediction)

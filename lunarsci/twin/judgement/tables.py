@@ -6,13 +6,13 @@ In every table `rover` and `ground` are as `Rover.written` and `Terrain.written`
 refuse states of another rover or ground.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray, at_times
+from lunarsci.arrays import BoolArray, FloatArray, at_times, spans
 from lunarsci.regolith.states import FROM_MOTION
 from lunarsci.twin.judgement.quantities import along
 from lunarsci.twin.simulation.dynamics import MOST_LOAD
@@ -37,6 +37,8 @@ PROFILED = {
 """Quantities of the profiles, and their units."""
 SHARES = (5, 50, 95, 0, 100)
 """Of the members, in the order of a profile's columns. [%]"""
+PIECE = 32
+"""Members of a piece of a table: some megabytes."""
 ALL = "all"
 """In the column `wheel` of a profile: all wheels together."""
 QUANTITIES = (
@@ -96,8 +98,15 @@ def profile_table(prediction: Prediction) -> "pd.DataFrame":
     return table[table["p50"].notna()].reset_index(drop=True)
 
 
-def state_table(prediction: Prediction) -> "pd.DataFrame":
+def state_tables(prediction: Prediction) -> "Iterator[pd.DataFrame]":
+    """`state_table` in pieces, which take less memory one after the other than all of it."""
+    return (state_table(prediction, members) for members in spans(prediction.members, PIECE))
+
+
+def state_table(prediction: Prediction, members: range | None = None) -> "pd.DataFrame":
     """States and forces of each wheel: one row for each member, distance and wheel, as far as the member came.
+
+    Of some of the members, or of all of them.
 
     Columns member, distance_m, time_s, wheel, x_m, y_m (wheel centre), sinkage_m, slip_ratio, side_slip_deg,
     normal_force_n, drawbar_pull_n, lateral_force_n, resistance_torque_nm, valid, rover, ground. `distance_m` is as
@@ -106,7 +115,9 @@ def state_table(prediction: Prediction) -> "pd.DataFrame":
     """
     import pandas as pd
 
-    member, sample = np.nonzero(prediction.reached)
+    first, last = (0, prediction.members) if members is None else (members.start, members.stop)
+    member, sample = np.nonzero(prediction.reached[first:last])
+    member += first
     values = prediction.states[member, sample].reshape(-1, len(STATE_COLUMNS))
     table = pd.DataFrame(values, columns=list(STATE_COLUMNS))
     names = prediction.rover.wheels
