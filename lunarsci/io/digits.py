@@ -24,7 +24,7 @@ ZERO, MINUS, POINT, PLUS, COMMA, LINE, EXPONENT = b"0-.+,\ne"
 
 
 @compiled(nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def rounded(value: float) -> tuple[int, int]:
+def rounded(value: float) -> Any:
     """The first nine digits of a finite number above 0 as a whole number, and the power of ten of the first."""
     _, exponent = math.frexp(value)
     power = max(math.floor((exponent - 1) * math.log10(2.0)), LEAST_POWER)

@@ -197,7 +197,7 @@ def _write_rows(table: "pd.DataFrame", written: io.BytesIO) -> None:
         values = np.reshape([column[piece] for column in numbers], (len(numbers), size))
         codes = [first + column[piece] for (column, _), first in zip(others, firsts, strict=False)]
         made = put_rows(values, np.reshape(codes, (len(codes), size)).astype(np.int64), order, pool, starts, room)
-        written.write(room[:made])
+        written.write(room[:made].data)
 
 
 def _coded(column: "pd.Series") -> tuple[IntArray, list[str]]:

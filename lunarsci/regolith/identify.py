@@ -224,11 +224,7 @@ def identify(
     pooled = min(draws, max(LEAST_POOLED, POOLED_DRAWS // len(states)))
     observations, measured, drawn = [], [], []
     for number, (name, values, sigmas) in enumerate(zip(states.id, states.values, states.sigmas, strict=True), 1):
-        sample = np.zeros((1 + draws, values.size))
-        random.standard_normal(out=sample[1:])
-        sample *= sigmas
-        sample[0] = 0.0  # where an error is not known, too
-        sample += values
+        sample = np.vstack([values, values + sigmas * random.standard_normal((draws, values.size))])
         stresses = inversion.invert_states(sample, wheel.vector(), given.shear_modulus_mm * 1e-3, code)
         observations.append(_Solved(stresses, given).record(name))
         measured.append(stresses[:1].copy())
@@ -363,7 +359,8 @@ def _curves(solved: _Solved) -> dict[str, list[dict[str, Any]]]:
     points: list[tuple[str, dict[str, Any]]] = [(curve, point) for curve in curves for point in curves[curve]]
 
     def solve(number: int) -> None:
-        (curve, point), (x_name, y_name, law) = points[number], laws[points[number][0]]
+        curve, point = points[number]
+        x_name, y_name, law = laws[curve]
         with np.errstate(all="ignore"):
             y = estimate(law(point[x_name]), y_name, solved.states)
         point.update({y_name: y.value, "low": y.low, "high": y.high})

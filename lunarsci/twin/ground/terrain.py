@@ -345,42 +345,50 @@ def lay_soil(grid: Any, override: Any, wheel: Any) -> None:
             wheel[(SOIL + k) * GROUP + lane] = grid.soil[0, 0, k] if np.isnan(value) else value
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def find_cells(grid: Any, wheel: Any, code: Any) -> None:
-    """The cell of a `Grid` below a wheel of every lane that drives, with its nodes, which are read where it is another.
+def shares_in_cell(grid: Any, rows: Any) -> Any:
+    """Where in its cell a wheel is, in x and in y. [-]"""
+    x, y, column, row = rows.center[0], rows.center[1], rows.cell[0], rows.cell[1]
+    return (x - grid.x0) / grid.spacing - column, (y - grid.y0) / grid.spacing - row
 
-    Arguments as of `read_ground`. Lanes that do not drive have no cell.
-    """
-    (ny, nx), drawn = grid.height.shape, grid.grain.shape[2] > 0
-    for lane in range(GROUP):
-        here = wheel[CELL * GROUP + lane :]
-        if code[lane] != FINISHED and code[lane] != SANK:
-            here[2 * GROUP] = 0.0
-            continue
-        x, y = wheel[CENTER * GROUP + lane], wheel[(CENTER + 1) * GROUP + lane]
-        column, row = (x - grid.x0) / grid.spacing, (y - grid.y0) / grid.spacing
-        if not (0.0 <= column <= nx - 1 and 0.0 <= row <= ny - 1):
-            code[lane], here[2 * GROUP] = LEFT, 0.0
-            continue
-        j, i = min(int(column), nx - 2), min(int(row), ny - 2)
-        if here[0] == j and here[GROUP] == i and here[2 * GROUP] > 0.0:
-            continue
-        if drawn:
-            nodes_about(grid, i, j, here[3 * GROUP :: GROUP], min(lane, grid.draws.shape[0] - 1))
-        else:
-            nodes_about(grid, i, j, here[3 * GROUP :: GROUP])
-        here[0], here[GROUP], here[2 * GROUP] = j, i, 1.0
+
+@formula
+def forget_cells(grid: Any, wheel: Any, lane: Any) -> None:
+    """The cells that a wheel has left are not known any more."""
+    rows = WHEEL.of(wheel, lane)
+    a, b = shares_in_cell(grid, rows)
+    column, row, known, odd = rows.cell
+    rows.cell = (column, row, choose((a >= 0.0) & (a < 1.0) & (b >= 0.0) & (b < 1.0), known, 0.0), odd)
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def find_cell(grid: Any, wheel: Any, code: Any, lane: int) -> None:
+    """The cell of a `Grid` below a wheel of a lane that drives, with its nodes; arguments as of `read_ground`."""
+    (ny, nx), here = grid.height.shape, wheel[CELL * GROUP + lane :]
+    x, y = wheel[CENTER * GROUP + lane], wheel[(CENTER + 1) * GROUP + lane]
+    column, row = (x - grid.x0) / grid.spacing, (y - grid.y0) / grid.spacing
+    if not (0.0 <= column <= nx - 1 and 0.0 <= row <= ny - 1):
+        code[lane] = LEFT
+        return
+    j, i = min(int(column), nx - 2), min(int(row), ny - 2)
+    here[0], here[GROUP], here[2 * GROUP] = j, i, 1.0
+    if grid.grain.shape[2] > 0:
+        nodes_about(grid, i, j, here[4 * GROUP :: GROUP], min(lane, grid.draws.shape[0] - 1))
+    else:
+        nodes_about(grid, i, j, here[4 * GROUP :: GROUP])
 
 
 @formula
 def lay_ground(grid: Any, wheel: Any, triangles: Any, lane: Any) -> None:
-    """Height [m] and gradient below a wheel of the lanes that have a cell."""
+    """Height [m] and gradient below a wheel of the lanes that have a cell; those are odd that nothing drives on."""
     rows = WHEEL.of(wheel, lane)
-    a = (rows.center[0] - grid.x0) / grid.spacing - rows.cell[0]
-    b = (rows.center[1] - grid.y0) / grid.spacing - rows.cell[1]
-    height, rise_x, rise_y = (triangle_surface if triangles else smooth_surface)(rows.nodes, a, b)
-    ground = (height, rise_x / grid.spacing, rise_y / grid.spacing)
-    rows.ground = tuple(choose(rows.cell[2] > 0.0, new, old) for new, old in zip(ground, rows.ground, strict=True))
+    height, rise_x, rise_y = (triangle_surface if triangles else smooth_surface)(
+        rows.nodes, *shares_in_cell(grid, rows)
+    )
+    slope_x, slope_y, known = rise_x / grid.spacing, rise_y / grid.spacing, rows.cell[2] > 0.0
+    ground = zip((height, slope_x, slope_y), rows.ground, strict=True)
+    rows.ground = tuple(choose(known, new, old) for new, old in ground)
+    fine = (abs(height) < math.inf) & (slope_x * slope_x + slope_y * slope_y <= STEEPEST * STEEPEST)
+    rows.cell = (*rows.cell[:3], choose(known & ~fine, 1.0, 0.0))
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
@@ -392,7 +400,13 @@ def read_ground(grid: Any, override: Any, wheel: Any, code: Any) -> None:
     Lanes with an outcome other than this or SANK keep what they had. Soil that is the same everywhere stays as
     `lay_soil` left it.
     """
-    find_cells(grid, wheel, code)
+    for lane in range(0, GROUP, LANES):
+        forget_cells(grid, wheel, lane)
+    for lane in range(GROUP):
+        if code[lane] != FINISHED and code[lane] != SANK:
+            wheel[(CELL + 2) * GROUP + lane] = 0.0
+        elif wheel[(CELL + 2) * GROUP + lane] == 0.0:
+            find_cell(grid, wheel, code, lane)
     for lane in range(0, GROUP, LANES):
         if grid.triangles:
             lay_ground(grid, wheel, True, lane)
@@ -400,18 +414,20 @@ def read_ground(grid: Any, override: Any, wheel: Any, code: Any) -> None:
             lay_ground(grid, wheel, False, lane)
     uniform = grid.soil.shape[0] == 1
     for lane in range(GROUP):
-        if wheel[(CELL + 2) * GROUP + lane] == 0.0:
-            continue
-        ground = wheel[GROUND * GROUP + lane :]
-        height, slope_x, slope_y = ground[0], ground[GROUP], ground[2 * GROUP]
-        if not abs(height) + abs(slope_x) + abs(slope_y) < np.inf:
-            code[lane] = HOLE
-            ground[0], ground[GROUP], ground[2 * GROUP] = 0.0, 0.0, 0.0
-            continue
-        if slope_x * slope_x + slope_y * slope_y > STEEPEST * STEEPEST:
-            code[lane] = CLIFF
-        if not uniform:
+        if wheel[(CELL + 3) * GROUP + lane] > 0.0:
+            note_ground(wheel[GROUND * GROUP + lane :], code, lane)
+        if not uniform and wheel[(CELL + 2) * GROUP + lane] > 0.0 and code[lane] != HOLE:
             read_soil(grid, override, wheel, lane)
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def note_ground(ground: Any, code: Any, lane: int) -> None:
+    """Note a hole, which is level, or a cliff in the `ground` of a lane, whose numbers are GROUP apart."""
+    if abs(ground[0]) + abs(ground[GROUP]) + abs(ground[2 * GROUP]) < np.inf:
+        code[lane] = CLIFF
+    else:
+        code[lane] = HOLE
+        ground[0], ground[GROUP], ground[2 * GROUP] = 0.0, 0.0, 0.0
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]

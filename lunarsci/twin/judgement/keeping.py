@@ -125,7 +125,8 @@ def worst_values(prediction: Prediction) -> dict[Limit, FloatArray]:
 def keeps_limits(prediction: Prediction, worst: dict[Limit, FloatArray] | None = None) -> BoolArray:
     """Drives that end and break none of the limits that are judged, of `worst_values`. (members,)"""
     worst = worst_values(prediction) if worst is None else worst
-    return np.all([prediction.finished, *(~broken(limit, values) for limit, values in worst.items())], axis=0)
+    kept = [~broken(limit, values) for limit, values in worst.items()]
+    return np.asarray(np.all([prediction.finished, *kept], axis=0))
 
 
 def in_the_way(prediction: Prediction) -> str:

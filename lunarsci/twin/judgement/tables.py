@@ -126,9 +126,11 @@ def state_table(prediction: Prediction, members: range | None = None) -> "pd.Dat
     table.insert(0, "member", np.repeat(member, count))
     table.insert(1, "distance_m", np.repeat(prediction.distance_m[sample], count))
     table.insert(2, "time_s", np.repeat(prediction.time_s[sample], count))
-    table.insert(3, "wheel", pd.Categorical.from_codes(np.tile(np.arange(count), len(member)), names))
+    table.insert(
+        3, "wheel", pd.Series(pd.Categorical.from_codes(np.tile(np.arange(count), len(member)), pd.Index(names)))
+    )
     for name, text in (("rover", prediction.rover.written), ("ground", prediction.terrain.written)):
-        table[name] = pd.Categorical.from_codes(np.zeros(len(table), dtype=np.int8), [text])
+        table[name] = pd.Categorical.from_codes(np.zeros(len(table), dtype=np.int8), pd.Index([text]))
     return table
 
 
