@@ -394,7 +394,7 @@ class StatesAgreement:
     reduced_chi_square : of these values about their weighted mean, each with its own error.
     probability : of a larger one by chance.
     first, last : values at the least and the largest slip.
-    trend : `falls` or `rises` with slip, '' for neither or where slips do not differ.
+    trend : `falls` or `rises` with slip, '' for neither, where slips do not differ, and where the states agree.
     """
 
     parameter: str
@@ -431,12 +431,13 @@ def agreement(parameter: str, estimates: Sequence[Estimate], slip: FloatArray) -
     if degrees < 1:
         return None
     chi_square = float(np.sum(weight * (value - np.average(value, weights=weight)) ** 2))
+    chance = float(gammaincc(degrees / 2, chi_square / 2))
     varied = np.isfinite(slip).all() and np.ptp(slip) > 0 and np.ptp(value) > 0
-    rank = kendalltau(slip, value) if varied else None
+    # One soil's values differ by their errors, or in their last digits alone.
+    rank = kendalltau(slip, value) if varied and chance <= SIGNIFICANCE else None
     trend = "" if rank is None or rank.pvalue > TREND else "rises" if rank.statistic > 0 else "falls"
     order = np.argsort(slip, kind="stable")
     ends = float(value[order[0]]), float(value[order[-1]])
-    chance = float(gammaincc(degrees / 2, chi_square / 2))
     return StatesAgreement(parameter, degrees + 1, chi_square / degrees, chance, *ends, trend)
 
 
