@@ -33,10 +33,9 @@ PIECE_ROWS, LONGEST_LINE = 20_000, 1 << 26
 """Rows that are read at a time, and bytes of the longest line."""
 DECIMAL_COMMA = re.compile(r"^(\s*[+-]?\d*),(\d+(?:[eE][+-]?\d+)?\s*)$")
 UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-BLANK = ("nan", "na", "-", "")
 EXACT_POWER = 22
-"""Up to this power of ten a float64 is exact."""
 POWERS = np.array([float(f"1e{power}") for power in range(EXACT_POWER + 1)])
+BLANK = ("nan", "na", "-", "")
 _RARE = ('"', "#", "\r", "\v", "\f", "\x1c", "\x1d", "\x1e")
 ALIKE = 0.72
 """Likeness of two names (difflib's ratio) from which one is taken for a slip of the pen of the other; assumed."""
@@ -167,12 +166,19 @@ def parquet_tables(stream: InputStream) -> "Iterator[pd.DataFrame]":
         )
 
 
-def csv_bytes(table: "pd.DataFrame") -> bytes:
-    """A table as CSV, nine significant digits."""
-    columns = {str(name): _written(table[name]) for name in table}
-    head = io.StringIO()
-    csv.writer(head, lineterminator="\n").writerow(columns)
-    return head.getvalue().encode() + b"".join(Records(columns).csv_chunks())
+def csv_bytes(table: "pd.DataFrame | Iterable[pd.DataFrame]") -> bytes:
+    """A table as CSV, nine significant digits; also in pieces of rows, which need not be there together."""
+    import pandas as pd
+
+    written = io.BytesIO()
+    for number, piece in enumerate([table] if isinstance(table, pd.DataFrame) else table):
+        columns = {str(name): _written(piece[name]) for name in piece}
+        if not number:
+            head = io.StringIO()
+            csv.writer(head, lineterminator="\n").writerow(columns)
+            written.write(head.getvalue().encode())
+        written.writelines(Records(columns).csv_chunks())
+    return written.getvalue()
 
 
 def _written(column: "pd.Series") -> Any:

@@ -130,17 +130,19 @@ def contact_forces(
     r, b, h, r_s, c1, c2, c3 = wheel
     stiffness, n0, n1, cohesion, tan_phi, k_x, tan_phi_y, k_y = soil
     # Half-angle forms: 1 - cos(theta_1) = z / r, for grouser tips (z + h) / (r + h).
-    q, q_e = sinkage / (2.0 * r), (sinkage + h) / (2.0 * (r + h))
+    q, q_e = sinkage * (0.5 / r), (sinkage + h) * (0.5 / (r + h))
     half, half_e = root(q), root(q_e)
-    theta_1, theta_1e = 2.0 * arcsin(half), 2.0 * arcsin(half_e)
-    cos_1, sin_1, sin_1e = 1.0 - 2.0 * q, 2.0 * half * root(1.0 - q), 2.0 * half_e * root(1.0 - q_e)
+    theta_1, theta_1e, cos_1 = 2.0 * arcsin(half), 2.0 * arcsin(half_e), 1.0 - 2.0 * q
+    # The roots of arcsin again.
+    sin_1, sin_1e = 2.0 * half * root(1.0 - half * half), 2.0 * half_e * root(1.0 - half_e * half_e)
     # As in the integrals, the largest stress stays within the contact at any slip.
     theta_2, theta_m = c3 * theta_1, lowest(highest(c1 + c2 * slip, c3 + 1e-3), 0.999) * theta_1
     cos_2, sin_2, cos_m, sin_m = cosine(theta_2), sine(theta_2), cosine(theta_m), sine(theta_m)
-    front, rear = theta_1 - theta_m, theta_m - theta_2
-    a = (cos_m - cos_2) / rear + (cos_m - cos_1) / front
-    b_moment = (sin_m - sin_2) / rear + (sin_m - sin_1) / front
-    c_moment = (theta_1 - theta_2) / 2.0
+    per_front, per_rear = 1.0 / (theta_1 - theta_m), 1.0 / (theta_m - theta_2)
+    per_x, per_y = 1.0 / k_x, 1.0 / k_y
+    a = (cos_m - cos_2) * per_rear + (cos_m - cos_1) * per_front
+    b_moment = (sin_m - sin_2) * per_rear + (sin_m - sin_1) * per_front
+    c_moment = (theta_1 - theta_2) * 0.5
     depth = r * (cos_m - cos_1)
     pressed, left = rut
     again = choose(pressed > left, lowest(1.0, depth / choose(pressed > left, pressed - left, 1.0)), 1.0)
@@ -149,17 +151,17 @@ def contact_forces(
     sigma_m = choose(depth > 0.0, sigma_m, math.nan)
     ratio = choose((code == 2) & (travel > 1.0), 1.0 / travel, travel)
     j_x = r_s * ((theta_1e - theta_m) - ratio * (sin_1e - sin_m))
-    share_x = signed_share(j_x, travel, k_x, code)
+    share_x = signed_share(j_x * per_x, travel, 1.0, code)
     strength_x, strength_y = cohesion + sigma_m * tan_phi, cohesion + sigma_m * tan_phi_y
     tau_x = strength_x * share_x
     j_before = r_s * ((theta_1e - theta_m) - before * (sin_1e - sin_m))
-    share_before = -signed(1.0, j_before) * exp_minus_one(-abs(j_before) / k_x)
+    share_before = -signed(1.0, j_before) * exp_minus_one(-abs(j_before) * per_x)
     tau_before = choose(code == 0, strength_x * share_before, tau_x)
     j_y = r * lateral * (theta_1e - theta_m)
-    share_y = signed(1.0, j_y) * (0.0 - exp_minus_one(-abs(j_y) / k_y))
+    share_y = signed(1.0, j_y) * (0.0 - exp_minus_one(-abs(j_y) * per_y))
     tau_y = strength_y * share_y
-    slope_x = -strength_x * (1.0 - abs(share_x)) / k_x * r_s * (sin_1e - sin_m)
-    slope_y = strength_y * (1.0 - abs(share_y)) / k_y * r * (theta_1e - theta_m)
+    slope_x = -strength_x * (1.0 - abs(share_x)) * per_x * r_s * (sin_1e - sin_m)
+    slope_y = strength_y * (1.0 - abs(share_y)) * per_y * r * (theta_1e - theta_m)
     forces = (
         b * (r * sigma_m * a + r_s * tau_before * b_moment),
         b * (r_s * tau_x * a - r * sigma_m * b_moment),

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.special import gammaincc
 
 from lunarsci.arrays import FloatArray
+from lunarsci.compiled import each_in_threads
 from lunarsci.ranges import ACUTE_DEG, NOT_NEGATIVE, POSITIVE, check_each, refuse
 from lunarsci.regolith import inversion
 from lunarsci.regolith.forces import shear_sign_code, warn_of_shear_sign
@@ -81,10 +82,10 @@ def estimate(values: FloatArray, name: str, states: int = 1) -> Estimate:
     share = good.size / drawn.size
     if not np.isfinite(nominal).any() or share < MIN_SOLVED:
         return Estimate(None, solved=share, reason=_reason(name))
-    low, high = np.percentile(good, PERCENTILES)
-    value = float(np.nanmedian(nominal))
+    sigma, value = float(np.std(good, ddof=1)), float(np.nanmedian(nominal))
+    low, high = np.percentile(good, PERCENTILES, overwrite_input=True)
     reason = "" if share == 1 else f"{_percent(1 - share)} of the draws have no solution and are left out"
-    return Estimate(value, float(np.std(good, ddof=1)), float(low), float(high), share, reason=reason)
+    return Estimate(value, sigma, float(low), float(high), share, reason=reason)
 
 
 def _percent(share: float) -> str:
@@ -256,7 +257,8 @@ class _Solved:
     """
 
     def __init__(self, stresses: FloatArray, given: Assumptions, states: int = 1) -> None:
-        self.sigma_m, self.tau_x, self.tau_y, self.depth, self.mobilised, self.displacement = stresses.T
+        columns = np.ascontiguousarray(stresses.T)
+        self.sigma_m, self.tau_x, self.tau_y, self.depth, self.mobilised, self.displacement = columns
         self.given, self.states = given, states
         with np.errstate(all="ignore"):
             self.parameters = self._parameters()
@@ -353,14 +355,18 @@ def _curves(solved: _Solved) -> dict[str, list[dict[str, Any]]]:
         "lateral": ("lateral_modulus_mm", "external_friction_angle_deg", solved.external_friction_angle),
     }
 
-    def point(x_name: str, x: float, y_name: str, y: Estimate) -> dict[str, Any]:
-        return {x_name: float(x), y_name: y.value, "low": y.low, "high": y.high}
+    curves = {curve: [{x_name: float(x)} for x in CURVES[x_name]] for curve, (x_name, _, _) in laws.items()}
+    points: list[tuple[str, dict[str, Any]]] = [(curve, point) for curve in curves for point in curves[curve]]
 
-    with np.errstate(all="ignore"):
-        return {
-            curve: [point(x_name, x, y_name, estimate(law(x), y_name, solved.states)) for x in CURVES[x_name]]
-            for curve, (x_name, y_name, law) in laws.items()
-        }
+    def solve(number: int) -> None:
+        curve, point = points[number]
+        x_name, y_name, law = laws[curve]
+        with np.errstate(all="ignore"):
+            y = estimate(law(point[x_name]), y_name, solved.states)
+        point.update({y_name: y.value, "low": y.low, "high": y.high})
+
+    each_in_threads(solve, len(points))
+    return curves
 
 
 LABELS = {
@@ -388,7 +394,7 @@ class StatesAgreement:
     reduced_chi_square : of these values about their weighted mean, each with its own error.
     probability : of a larger one by chance.
     first, last : values at the least and the largest slip.
-    trend : `falls` or `rises` with slip, '' for neither or where slips do not differ.
+    trend : `falls` or `rises` with slip, '' for neither, where slips do not differ, and where the states agree.
     """
 
     parameter: str
@@ -425,12 +431,13 @@ def agreement(parameter: str, estimates: Sequence[Estimate], slip: FloatArray) -
     if degrees < 1:
         return None
     chi_square = float(np.sum(weight * (value - np.average(value, weights=weight)) ** 2))
+    chance = float(gammaincc(degrees / 2, chi_square / 2))
     varied = np.isfinite(slip).all() and np.ptp(slip) > 0 and np.ptp(value) > 0
-    rank = kendalltau(slip, value) if varied else None
+    # One soil's values differ by their errors, or in their last digits alone.
+    rank = kendalltau(slip, value) if varied and chance <= SIGNIFICANCE else None
     trend = "" if rank is None or rank.pvalue > TREND else "rises" if rank.statistic > 0 else "falls"
     order = np.argsort(slip, kind="stable")
     ends = float(value[order[0]]), float(value[order[-1]])
-    chance = float(gammaincc(degrees / 2, chi_square / 2))
     return StatesAgreement(parameter, degrees + 1, chi_square / degrees, chance, *ends, trend)
 
 

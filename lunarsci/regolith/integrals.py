@@ -125,6 +125,7 @@ def contact_sums(
     theta_1, theta_1e, sin_1e, theta_2, theta_m, exponent, travel, lateral, side, (old, rise, below) = place
     r, b, _, r_s, *_ = wheel
     stiffness, _, _, cohesion, tan_phi, k_x, tan_phi_y, k_y = soil
+    per_x, per_y = 1.0 / k_x, 1.0 / k_y
     front, back, cos_1 = 0.5 * (theta_1 - theta_m), 0.5 * (theta_m - theta_2), cosine(theta_1)
     # The stress behind is that of the mirror image ahead, which the same node has.
     depth = r * (cosine(theta_1 - front * (1.0 - node)) - cos_1)
@@ -137,13 +138,15 @@ def contact_sums(
         if law == 0:
             by_slip = choose((model[0] == 2.0) & (travel > 1.0), 1.0 / highest(travel, 1.0), travel)
             j_slip = r_s * (ahead - by_slip * risen)
-            along, across = signed_share(j_slip, travel, k_x, model[0]), signed_share(j_y, travel, k_y, 0)
+            along = signed_share(j_slip * per_x, travel, 1.0, model[0])
+            across = signed_share(j_y * per_y, travel, 1.0, 0)
         else:
-            x, y = j_x / k_x, j_y / k_y
+            x, y = j_x * per_x, j_y * per_y
             share = -exp_minus_one(-root(x * x + y * y))
             x, y = choose(model[1] == 1.0, 1.0 - travel * cos, x), choose(model[1] == 1.0, lateral, y)
             length = root(x * x + y * y)
-            along, across = (choose(length > 0.0, share * one / length, 0.0) for one in (x, y))
+            share = choose(length > 0.0, share / length, 0.0)
+            along, across = share * x, share * y
         tau_x, tau_y = (cohesion + sigma * tan_phi) * along, (cohesion + sigma * tan_phi_y) * across
         deep = highest(r * (cos - cos_1), 0.0)
         sideways = r_s * b * tau_y + deep * (face[0] + face[1] * deep) * (r - deep * cos) * side

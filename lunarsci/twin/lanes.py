@@ -32,6 +32,7 @@ WHEEL = Fields(
     GROUP, center=3, arm=3, swing=3, bogie_swing=3, axle=3, acceleration=3, ground=3, soil=8, sinkage=1, velocity=3,
     normal=1, drawbar=1, side=1, resistance=1, forward=3, across=3, upward=3, force=3, moment=3, by_forward=3,
     by_across=3, stiff=2, steer=1, rim=1, slip=1, travel=1, last=1, hold=3, twist=3, rate=3, rut=2, missed=1, tread=5,
+    cell=4, nodes=16,
 )  # fmt: skip
 """Rows of one wheel of `Work.wheels`, vectors in the world frame.
 
@@ -45,7 +46,8 @@ and c3, and r_s as a multiple of the stated one: these turn at the stated rate.
 What the contact remembers: the slip ratio that the bearing has taken up; the travel ratio before the rim stood still;
 the speed of the rim in the step before; force and torque along the surface at the end of it, for a wheel that does not
 move, and how they change with its speed. How deep wheels before pressed the ground, and how deep it is still. How far
-the force of a step's end was from what the step had taken it to be.
+the force of a step's end was from what the step had taken it to be. Column and row of the terrain's cell below it, 1
+where it is known, else 0, and 1 where its ground is no ground to drive on; the heights of the 4 x 4 nodes about it.
 """
 SYSTEM = Fields(GROUP, matrix=64, right=8)
 """Rows of one side of `Work.sides`: the 8 x 8 matrix by rows, and the right side. The matrix of the nine coordinates is

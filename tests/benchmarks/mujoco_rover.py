@@ -14,7 +14,7 @@ import numpy as np
 from lunarsci.compiled import compiled
 from lunarsci.regolith.forces import slip_ratio, wheel_forces_kernel
 from lunarsci.regolith.integrals import NODES, WEIGHTS, contact_kernel
-from lunarsci.twin.ground.terrain import Terrain, surface_in
+from lunarsci.twin.ground.terrain import Terrain, nodes_about, smooth_surface
 from lunarsci.twin.plans.path import all_commands, make_schedule, start_motion
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact import DEEPEST, NORMAL_DAMPING, SHALLOWEST, VALID_SLIP
@@ -173,7 +173,10 @@ def ground_below(grid, x, y, soil):
         for k in range(8):
             low = (1.0 - a) * grid.soil[i, j, k] + a * grid.soil[i, j + 1, k]
             soil[k] = (1.0 - b) * low + b * ((1.0 - a) * grid.soil[i + 1, j, k] + a * grid.soil[i + 1, j + 1, k])
-    return surface_in(grid, i, j, a, b)
+    nodes = np.empty(16)
+    nodes_about(grid, i, j, nodes)
+    height, rise_x, rise_y = smooth_surface(nodes, a, b)
+    return height, rise_x / grid.spacing, rise_y / grid.spacing
 
 
 @compiled(nogil=True)

@@ -13,6 +13,8 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray
 from lunarsci.compiled import compiled
+from lunarsci.compiled.formulas import LANES, formula
+from lunarsci.compiled.lanes import choose
 from lunarsci.errors import DataError, ParameterError, within_file
 from lunarsci.heights.grid import ERROR_LAYERS, HeightGrid
 from lunarsci.heights.grids import check_relief, read_grid
@@ -45,7 +47,7 @@ STEEPEST = math.tan(math.radians(STEEPEST_DEG))
 """Slope of the ground beyond which it is a cliff. [-]"""
 INTERPOLATIONS = ("smooth", "triangles")
 """See `Terrain.interpolation`."""
-CENTER, GROUND, SOIL = (WHEEL.first[name] for name in ("center", "ground", "soil"))
+CELL, CENTER, GROUND, SOIL = (WHEEL.first[name] for name in ("cell", "center", "ground", "soil"))
 """Rows of a wheel in `Work.wheels`: the number of one lane in row k lies at k * GROUP + lane."""
 LEFT_OF_PRIOR = "_left_of_prior"
 """Ends the names of layers with how much of a parameter's prior width is left, which a soil map writes."""
@@ -228,22 +230,39 @@ class Terrain:
         return self.surface_at(x_m, y_m)[..., 0]
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
-def cubic_weights(a: float, first: bool, last: bool) -> Any:
+def cubic_weights(a: Any) -> Any:
     """Weights (4,) of the nodes about a cell for the value, and (4,) for the slope, at the share `a` of its width.
 
-    Nodes count from the one before the cell; the slope is per cell. In the `first` and `last` cell of a row the node
-    that is not there goes on in line with the two next to it.
+    Nodes count from the one before the cell; the slope is per cell.
     """
     q = a * a
     c = q * a
-    w0, w1, w2, w3 = -0.5 * (a + c) + q, 1.0 - 2.5 * q + 1.5 * c, 0.5 * a + 2.0 * q - 1.5 * c, 0.5 * (c - q)
-    d0, d1, d2, d3 = -0.5 + 2.0 * a - 1.5 * q, -5.0 * a + 4.5 * q, 0.5 + 4.0 * a - 4.5 * q, 1.5 * q - a
-    if first:
-        w0, w1, w2, d0, d1, d2 = 0.0, w1 + 2.0 * w0, w2 - w0, 0.0, d1 + 2.0 * d0, d2 - d0
-    if last:
-        w1, w2, w3, d1, d2, d3 = w1 - w3, w2 + 2.0 * w3, 0.0, d1 - d3, d2 + 2.0 * d3, 0.0
-    return (w0, w1, w2, w3), (d0, d1, d2, d3)
+    value = (-0.5 * (a + c) + q, 1.0 - 2.5 * q + 1.5 * c, 0.5 * a + 2.0 * q - 1.5 * c, 0.5 * (c - q))
+    return value, (-0.5 + 2.0 * a - 1.5 * q, -5.0 * a + 4.5 * q, 0.5 + 4.0 * a - 4.5 * q, 1.5 * q - a)
+
+
+@formula
+def smooth_surface(nodes: Any, a: Any, b: Any) -> Any:
+    """Height [m] and its change along x and y over a cell [m], at shares a (in x) and b (in y) of it, by cubic
+    convolution of the 16 `nodes` about it.
+    """
+    along, slope_along = cubic_weights(a)
+    up, slope_up = cubic_weights(b)
+    height, slope_x, slope_y = 0.0, 0.0, 0.0
+    for k in range(4):
+        value, slope = 0.0, 0.0
+        for m in range(4):
+            value, slope = value + along[m] * nodes[4 * k + m], slope + slope_along[m] * nodes[4 * k + m]
+        height, slope_x, slope_y = height + up[k] * value, slope_x + up[k] * slope, slope_y + slope_up[k] * value
+    return height, slope_x, slope_y
+
+
+@formula
+def triangle_surface(nodes: Any, a: Any, b: Any) -> Any:
+    """As `smooth_surface`, on two triangles between the nodes of the cell."""
+    near, aside, above, far = nodes[5], nodes[6], nodes[9], nodes[10]
+    x, y = choose(a >= b, aside - near, far - above), choose(a >= b, far - aside, above - near)
+    return near + a * x + b * y, x, y
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
@@ -271,47 +290,45 @@ def read_heights(grid: Any, row: int, column: int, result: Any) -> None:
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
-def surface_in(grid: Any, i: int, j: int, a: float, b: float, lane: Any = None) -> Any:
-    """Height [m] and gradient along x and y [-] at shares a (in x) and b (in y) of a cell of a `Grid`.
+def nodes_about(grid: Any, i: int, j: int, nodes: Any, lane: Any = None) -> None:
+    """Heights of the 4 x 4 nodes about a cell of a `Grid`, row by row, into `nodes` (16,). [m]
 
-    The cell lies between nodes [i, j] and [i + 1, j + 1]. `lane` is the rover whose ground it is, where each has its
-    own; None compiles to a formula that knows no errors.
+    The cell lies between nodes [i, j] and [i + 1, j + 1]. Beyond the edge of the map heights go on in line. `lane` is
+    the rover whose ground it is, where each has its own; None compiles to a formula that knows no errors.
     """
-    spacing = grid.spacing
-    if grid.triangles:
-        near, far = height_of(grid, lane, i, j), height_of(grid, lane, i + 1, j + 1)
-        aside, above = height_of(grid, lane, i, j + 1), height_of(grid, lane, i + 1, j)
-        x = aside - near if a >= b else far - above
-        y = far - aside if a >= b else above - near
-        return near + a * x + b * y, x / spacing, y / spacing
     ny, nx = grid.height.shape
-    along, slope_along = cubic_weights(a, j == 0, j == nx - 2)
-    up, slope_up = cubic_weights(b, i == 0, i == ny - 2)
-    height, slope_x, slope_y = 0.0, 0.0, 0.0
     for k in range(4):
-        row = min(max(i + k - 1, 0), ny - 1)
-        value, slope = 0.0, 0.0
         for m in range(4):
-            node = height_of(grid, lane, row, min(max(j + m - 1, 0), nx - 1))
-            value += along[m] * node
-            slope += slope_along[m] * node
-        height += up[k] * value
-        slope_x += up[k] * slope
-        slope_y += slope_up[k] * value
-    return height, slope_x / spacing, slope_y / spacing
+            row, column = min(max(i + k - 1, 0), ny - 1), min(max(j + m - 1, 0), nx - 1)
+            nodes[4 * k + m] = height_of(grid, lane, row, column)
+    for k in range(0, 16, 4):
+        if j == 0:
+            nodes[k] = 2.0 * nodes[k + 1] - nodes[k + 2]
+        if j == nx - 2:
+            nodes[k + 3] = 2.0 * nodes[k + 2] - nodes[k + 1]
+    for m in range(4):
+        if i == 0:
+            nodes[m] = 2.0 * nodes[m + 4] - nodes[m + 8]
+        if i == ny - 2:
+            nodes[m + 12] = 2.0 * nodes[m + 8] - nodes[m + 4]
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
 def read_surface(grid: Any, x: Any, y: Any, result: Any) -> None:
     """Height [m] and gradient [-] of a `Grid` below points x, y (n,) [m], into `result` (n, 3); NaN outside the map."""
-    ny, nx = grid.height.shape
+    (ny, nx), nodes = grid.height.shape, np.empty(16)
     for k in range(len(x)):
         column, row = (x[k] - grid.x0) / grid.spacing, (y[k] - grid.y0) / grid.spacing
         if not (0.0 <= column <= nx - 1 and 0.0 <= row <= ny - 1):
             result[k] = np.nan
             continue
         j, i = min(int(column), nx - 2), min(int(row), ny - 2)
-        result[k, 0], result[k, 1], result[k, 2] = surface_in(grid, i, j, column - j, row - i)
+        nodes_about(grid, i, j, nodes)
+        if grid.triangles:
+            height, rise_x, rise_y = triangle_surface(nodes, column - j, row - i)
+        else:
+            height, rise_x, rise_y = smooth_surface(nodes, column - j, row - i)
+        result[k, 0], result[k, 1], result[k, 2] = height, rise_x / grid.spacing, rise_y / grid.spacing
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
@@ -319,12 +336,59 @@ def lay_soil(grid: Any, override: Any, wheel: Any) -> None:
     """Soil below a wheel of every lane: that of `override` where it is not NaN, else that of the `Grid`'s first node.
 
     `override` (GROUP, 12) has a row of `soil_overrides` for each lane. `wheel` is one of `Work.wheels`, rows by GROUP
-    lanes as one array, (WHEEL.rows * GROUP,); its rows `soil` are filled.
+    lanes as one array, (WHEEL.rows * GROUP,); its rows `soil` are filled, and no cell is known any more.
     """
     for lane in range(GROUP):
+        wheel[(CELL + 2) * GROUP + lane] = 0.0
         for k in range(8):
             value = override[lane, k]
             wheel[(SOIL + k) * GROUP + lane] = grid.soil[0, 0, k] if np.isnan(value) else value
+
+
+def shares_in_cell(grid: Any, rows: Any) -> Any:
+    """Where in its cell a wheel is, in x and in y. [-]"""
+    x, y, column, row = rows.center[0], rows.center[1], rows.cell[0], rows.cell[1]
+    return (x - grid.x0) / grid.spacing - column, (y - grid.y0) / grid.spacing - row
+
+
+@formula
+def forget_cells(grid: Any, wheel: Any, lane: Any) -> None:
+    """The cells that a wheel has left are not known any more."""
+    rows = WHEEL.of(wheel, lane)
+    a, b = shares_in_cell(grid, rows)
+    column, row, known, odd = rows.cell
+    rows.cell = (column, row, choose((a >= 0.0) & (a < 1.0) & (b >= 0.0) & (b < 1.0), known, 0.0), odd)
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def find_cell(grid: Any, wheel: Any, code: Any, lane: int) -> None:
+    """The cell of a `Grid` below a wheel of a lane that drives, with its nodes; arguments as of `read_ground`."""
+    (ny, nx), here = grid.height.shape, wheel[CELL * GROUP + lane :]
+    x, y = wheel[CENTER * GROUP + lane], wheel[(CENTER + 1) * GROUP + lane]
+    column, row = (x - grid.x0) / grid.spacing, (y - grid.y0) / grid.spacing
+    if not (0.0 <= column <= nx - 1 and 0.0 <= row <= ny - 1):
+        code[lane] = LEFT
+        return
+    j, i = min(int(column), nx - 2), min(int(row), ny - 2)
+    here[0], here[GROUP], here[2 * GROUP] = j, i, 1.0
+    if grid.grain.shape[2] > 0:
+        nodes_about(grid, i, j, here[4 * GROUP :: GROUP], min(lane, grid.draws.shape[0] - 1))
+    else:
+        nodes_about(grid, i, j, here[4 * GROUP :: GROUP])
+
+
+@formula
+def lay_ground(grid: Any, wheel: Any, triangles: Any, lane: Any) -> None:
+    """Height [m] and gradient below a wheel of the lanes that have a cell; those are odd that nothing drives on."""
+    rows = WHEEL.of(wheel, lane)
+    height, rise_x, rise_y = (triangle_surface if triangles else smooth_surface)(
+        rows.nodes, *shares_in_cell(grid, rows)
+    )
+    slope_x, slope_y, known = rise_x / grid.spacing, rise_y / grid.spacing, rows.cell[2] > 0.0
+    ground = zip((height, slope_x, slope_y), rows.ground, strict=True)
+    rows.ground = tuple(choose(known, new, old) for new, old in ground)
+    fine = (abs(height) < math.inf) & (slope_x * slope_x + slope_y * slope_y <= STEEPEST * STEEPEST)
+    rows.cell = (*rows.cell[:3], choose(known & ~fine, 1.0, 0.0))
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
@@ -336,39 +400,47 @@ def read_ground(grid: Any, override: Any, wheel: Any, code: Any) -> None:
     Lanes with an outcome other than this or SANK keep what they had. Soil that is the same everywhere stays as
     `lay_soil` left it.
     """
-    ny, nx = grid.height.shape
-    uniform, drawn = grid.soil.shape[0] == 1, grid.grain.shape[2] > 0
+    for lane in range(0, GROUP, LANES):
+        forget_cells(grid, wheel, lane)
     for lane in range(GROUP):
         if code[lane] != FINISHED and code[lane] != SANK:
-            continue
-        x, y = wheel[CENTER * GROUP + lane], wheel[(CENTER + 1) * GROUP + lane]
-        column, row = (x - grid.x0) / grid.spacing, (y - grid.y0) / grid.spacing
-        if not (0.0 <= column <= nx - 1 and 0.0 <= row <= ny - 1):
-            code[lane] = LEFT
-            continue
-        j, i = min(int(column), nx - 2), min(int(row), ny - 2)
-        a, b = column - j, row - i
-        if drawn:
-            height, slope_x, slope_y = surface_in(grid, i, j, a, b, min(lane, grid.draws.shape[0] - 1))
+            wheel[(CELL + 2) * GROUP + lane] = 0.0
+        elif wheel[(CELL + 2) * GROUP + lane] == 0.0:
+            find_cell(grid, wheel, code, lane)
+    for lane in range(0, GROUP, LANES):
+        if grid.triangles:
+            lay_ground(grid, wheel, True, lane)
         else:
-            height, slope_x, slope_y = surface_in(grid, i, j, a, b)
-        if not abs(height) + abs(slope_x) + abs(slope_y) < np.inf:
-            code[lane] = HOLE
-            height, slope_x, slope_y = 0.0, 0.0, 0.0
-        elif slope_x * slope_x + slope_y * slope_y > STEEPEST * STEEPEST:
-            code[lane] = CLIFF
-        wheel[GROUND * GROUP + lane] = height
-        wheel[(GROUND + 1) * GROUP + lane] = slope_x
-        wheel[(GROUND + 2) * GROUP + lane] = slope_y
-        if code[lane] == HOLE:
-            continue
-        if uniform:
-            continue
-        for k in range(8):
-            if np.isnan(override[lane, k]):
-                low = (1.0 - a) * grid.soil[i, j, k] + a * grid.soil[i, j + 1, k]
-                high = (1.0 - a) * grid.soil[i + 1, j, k] + a * grid.soil[i + 1, j + 1, k]
-                wheel[(SOIL + k) * GROUP + lane] = (1.0 - b) * low + b * high
+            lay_ground(grid, wheel, False, lane)
+    uniform = grid.soil.shape[0] == 1
+    for lane in range(GROUP):
+        if wheel[(CELL + 3) * GROUP + lane] > 0.0:
+            note_ground(wheel[GROUND * GROUP + lane :], code, lane)
+        if not uniform and wheel[(CELL + 2) * GROUP + lane] > 0.0 and code[lane] != HOLE:
+            read_soil(grid, override, wheel, lane)
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def note_ground(ground: Any, code: Any, lane: int) -> None:
+    """Note a hole, which is level, or a cliff in the `ground` of a lane, whose numbers are GROUP apart."""
+    if abs(ground[0]) + abs(ground[GROUP]) + abs(ground[2 * GROUP]) < np.inf:
+        code[lane] = CLIFF
+    else:
+        code[lane] = HOLE
+        ground[0], ground[GROUP], ground[2 * GROUP] = 0.0, 0.0, 0.0
+
+
+@compiled(nogil=True)  # type: ignore[untyped-decorator]
+def read_soil(grid: Any, override: Any, wheel: Any, lane: int) -> None:
+    """Soil below a wheel of a lane that has a cell, but for what `override` says; arguments as of `read_ground`."""
+    here = wheel[CELL * GROUP + lane :]
+    x, y, j, i = wheel[CENTER * GROUP + lane], wheel[(CENTER + 1) * GROUP + lane], int(here[0]), int(here[GROUP])
+    a, b = (x - grid.x0) / grid.spacing - j, (y - grid.y0) / grid.spacing - i
+    for k in range(8):
+        if np.isnan(override[lane, k]):
+            low = (1.0 - a) * grid.soil[i, j, k] + a * grid.soil[i, j + 1, k]
+            high = (1.0 - a) * grid.soil[i + 1, j, k] + a * grid.soil[i + 1, j + 1, k]
+            wheel[(SOIL + k) * GROUP + lane] = (1.0 - b) * low + b * high
 
 
 def build_terrain(

@@ -156,7 +156,7 @@ class PredictedDrives(Result):
         """The tables of all drives, and what `compare` reads after the drive: name to what makes the content."""
         prediction, rover = self.prediction, sha256(self.inputs.description.text.encode())
         tables = {
-            "states.csv": cache(lambda: csv_bytes(judged.state_table(prediction))),
+            "states.csv": cache(lambda: csv_bytes(judged.state_tables(prediction))),
             "paths.csv": cache(lambda: csv_bytes(judged.path_table(prediction))),
         }
         forecast = forecast_of(prediction, soils=self.soils.kind, rover_sha256=rover, soil=self.soils.record())

@@ -117,18 +117,21 @@ def broken(limit: Limit, values: FloatArray) -> BoolArray:
     return np.asarray(values < limit.limit if limit.sense == "at least" else values > limit.limit)
 
 
-def keeps_limits(prediction: Prediction) -> BoolArray:
-    """Drives that end and break none of the limits that are judged. (members,)"""
-    result = prediction.finished.copy()
-    for limit in limits_judged(prediction):
-        result &= ~broken(limit, extremes(prediction, limit.quantity))
-    return np.asarray(result)
+def worst_values(prediction: Prediction) -> dict[Limit, FloatArray]:
+    """The limits that are judged, each with the worst value of every member. (members,)"""
+    return {limit: extremes(prediction, limit.quantity) for limit in limits_judged(prediction)}
+
+
+def keeps_limits(prediction: Prediction, worst: dict[Limit, FloatArray] | None = None) -> BoolArray:
+    """Drives that end and break none of the limits that are judged, of `worst_values`. (members,)"""
+    worst = worst_values(prediction) if worst is None else worst
+    kept = [~broken(limit, values) for limit, values in worst.items()]
+    return np.asarray(np.all([prediction.finished, *kept], axis=0))
 
 
 def in_the_way(prediction: Prediction) -> str:
     """What drives break, the most frequent first, as `slip_ratio (3 of 8 drives)`; '' where all are kept."""
-    limits = limits_judged(prediction)
-    counts = {one.quantity: int(broken(one, extremes(prediction, one.quantity)).sum()) for one in limits}
+    counts = {one.quantity: int(broken(one, values).sum()) for one, values in worst_values(prediction).items()}
     counts["not at the end"] = int((~prediction.finished).sum())
     order = sorted((name for name in counts if counts[name]), key=lambda name: -counts[name])
     return ", ".join(f"{name} ({counts[name]} of {prediction.members} drives)" for name in order)

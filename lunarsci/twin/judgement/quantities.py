@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,8 @@ from lunarsci.twin.simulation.ensemble import PATH_COLUMNS, STATE_COLUMNS, Predi
 
 BLOCK = 4096
 """Poses that a thread looks at together."""
+_CLEARANCES: WeakKeyDictionary[Prediction, tuple[FloatArray, FloatArray]] = WeakKeyDictionary()
+"""What `clearance` has found, as long as the predictions are there."""
 
 
 @compiled(nogil=True)  # type: ignore[untyped-decorator]
@@ -41,25 +44,27 @@ def above_edges(height: Any, body: Any, plane: Any, parts: Any) -> Any:
     `height` (ny, nx) [m] and `body` as in `least_above`, `plane` as of `belly_plane`; each edge along x and along y is
     looked at in as many places as `parts` (2,) says. The height is infinite where no ground is known.
     """
-    (column_x, column_y, column_0), (row_x, row_y, row_0), (up_x, up_y, up) = plane
+    (column_x, column_y, column_0), (row_x, row_y, row_0), (up_x, up_y, up_0) = plane
     ny, nx = height.shape
     least, unknown = np.inf, 0
+    sides = (body[1] - body[0], body[3] - body[2], body[0] - body[1], body[2] - body[3])
     for side in range(4):
+        x, y = body[1 if side in (1, 2) else 0], body[3 if side in (2, 3) else 2]
         count = parts[side % 2]
+        dx, dy = (0.0, sides[side] / count) if side % 2 else (sides[side] / count, 0.0)
+        column, row = column_0 + column_x * x + column_y * y, row_0 + row_x * x + row_y * y
+        up = up_0 + up_x * x + up_y * y
+        right, ahead, rise = column_x * dx + column_y * dy, row_x * dx + row_y * dy, up_x * dx + up_y * dy
         for n in range(count):
-            share = n / count if side < 2 else 1.0 - n / count
-            x, y = body[0] + share * (body[1] - body[0]), body[2] if side == 0 else body[3]
-            if side % 2:
-                x, y = body[1] if side == 1 else body[0], body[2] + share * (body[3] - body[2])
-            column, row = column_0 + column_x * x + column_y * y, row_0 + row_x * x + row_y * y
-            if not (0.0 <= column <= nx - 1 and 0.0 <= row <= ny - 1):
+            at_column, at_row = column + n * right, row + n * ahead
+            if not (0.0 <= at_column <= nx - 1 and 0.0 <= at_row <= ny - 1):
                 unknown += 1
                 continue
-            j, i = min(np.int64(column), nx - 2), min(np.int64(row), ny - 2)
-            a, b = column - j, row - i
+            j, i = min(np.int64(at_column), nx - 2), min(np.int64(at_row), ny - 2)
+            a, b = at_column - j, at_row - i
             low = height[i, j] + a * (height[i, j + 1] - height[i, j])
             high = height[i + 1, j] + a * (height[i + 1, j + 1] - height[i + 1, j])
-            above = up + up_x * x + up_y * y - (low + b * (high - low))
+            above = up + n * rise - (low + b * (high - low))
             if np.isnan(above):
                 unknown += 1
             elif above < least:
@@ -67,7 +72,16 @@ def above_edges(height: Any, body: Any, plane: Any, parts: Any) -> Any:
     return least, unknown, 2 * (parts[0] + parts[1])
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled(nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def between(start: float, step: float, low: float, high: float) -> Any:
+    """The first and the last number j for which start + step j lies from `low` to `high`; none where first > last."""
+    if step == 0.0:
+        return (-np.inf, np.inf) if low <= start <= high else (np.inf, -np.inf)
+    one, other = (low - start) / step, (high - start) / step
+    return min(one, other), max(one, other)
+
+
+@compiled(nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def above_nodes(height: Any, body: Any, plane: Any) -> Any:
     """Least height of the belly above the nodes below it [m], nodes without known height, and nodes.
 
@@ -75,24 +89,22 @@ def above_nodes(height: Any, body: Any, plane: Any) -> Any:
     """
     (column_x, column_y, column_0), (row_x, row_y, row_0), (up_x, up_y, up) = plane
     ny, nx = height.shape
-    x, y = 0.5 * (body[0] + body[1]), 0.5 * (body[2] + body[3])
-    half_x, half_y = 0.5 * (body[1] - body[0]), 0.5 * (body[3] - body[2])
-    row, column = row_0 + row_x * x + row_y * y, column_0 + column_x * x + column_y * y
-    high, wide = abs(row_x) * half_x + abs(row_y) * half_y, abs(column_x) * half_x + abs(column_y) * half_y
+    row = row_0 + row_x * 0.5 * (body[0] + body[1]) + row_y * 0.5 * (body[2] + body[3])
+    high = abs(row_x) * 0.5 * (body[1] - body[0]) + abs(row_y) * 0.5 * (body[3] - body[2])
     turned = column_x * row_y - column_y * row_x
+    step_x, step_y = row_y / turned, -row_x / turned
     least, unknown, places = np.inf, 0, 0
     for i in range(max(0, math.ceil(row - high)), min(ny - 1, math.floor(row + high)) + 1):
-        for j in range(max(0, math.ceil(column - wide)), min(nx - 1, math.floor(column + wide)) + 1):
-            x = (row_y * (j - column_0) - column_y * (i - row_0)) / turned
-            y = (column_x * (i - row_0) - row_x * (j - column_0)) / turned
-            if x < body[0] or x > body[1] or y < body[2] or y > body[3]:
-                continue
-            places += 1
-            above = up + up_x * x + up_y * y - height[i, j]
-            if np.isnan(above):
-                unknown += 1
-            elif above < least:
-                least = above
+        x, y = -column_y / turned * (i - row_0) - step_x * column_0, column_x / turned * (i - row_0) - step_y * column_0
+        ends_x, ends_y = between(x, step_x, body[0], body[1]), between(y, step_y, body[2], body[3])
+        left, right = max(ends_x[0], ends_y[0], 0.0), min(ends_x[1], ends_y[1], nx - 1.0)
+        if left <= right:
+            above, step = up + up_x * x + up_y * y, up_x * step_x + up_y * step_y
+            for j in range(math.ceil(left), math.floor(right) + 1):
+                if above + step * j - height[i, j] < least:
+                    least = above + step * j - height[i, j]
+                unknown += np.isnan(height[i, j])
+                places += 1
     return least, unknown, places
 
 
@@ -186,14 +198,17 @@ def clearance(prediction: Prediction) -> tuple[FloatArray, FloatArray]:
     Returns it [m] and the share of the underside that is over ground of unknown height [-], (members, samples) both.
     The distance counts the known ground only, is NaN where none is known, and negative where the chassis would be in
     the ground; the drive itself goes on as if nothing had touched. Wheel tracks do not lower the ground. The highest
-    ground below the whole underside counts: every node, the places half-way between nodes, and below the edges.
+    ground below the whole underside counts: every node, the places half-way between nodes, and below the edges. It is
+    found once for a prediction.
 
     Raises ParameterError for a rover without a body.
     """
     body = prediction.rover.body
     if body is None:
         raise ParameterError(f"{prediction.rover.name} has no [body]; add the table to the rover file as in yutu2's")
-    return clearance_of_poses(prediction, body, prediction.paths)
+    if prediction not in _CLEARANCES:
+        _CLEARANCES[prediction] = clearance_of_poses(prediction, body, prediction.paths)
+    return _CLEARANCES[prediction]
 
 
 def exclusion_distance(prediction: Prediction, circles: tuple[ExclusionZone, ...] | None = None) -> FloatArray:

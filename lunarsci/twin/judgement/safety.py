@@ -17,10 +17,9 @@ from lunarsci.twin.judgement.keeping import (
     NEVER_BROKEN,
     PLAN_HAS_NONE,
     broken,
-    extremes,
     keeps_limits,
-    limits_judged,
     not_judged,
+    worst_values,
 )
 from lunarsci.twin.judgement.quantities import Encounter, clearance, encounters, least_of_95, most_of_95
 from lunarsci.twin.lanes import HOLE, LEFT, OUTCOMES
@@ -249,18 +248,20 @@ def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
     Jeffreys' law as `twin plan` counts it, is at most that, and no circle is entered and no battery empty. Fewer
     members than can promise the risk are held against the first rule.
     """
-    prediction = prediction if plan is None else dataclasses.replace(prediction, plan=plan)
+    if plan is not None and plan is not prediction.plan:
+        prediction = dataclasses.replace(prediction, plan=plan)
     check_limits(prediction.plan.limits, prediction.rover, prediction.plan.origin)
     finished = prediction.finished
-    limits = limits_judged(prediction) if finished.any() else ()
+    worst = worst_values(prediction)
     risk = prediction.plan.accepted_risk
     risk = None if risk is None or prediction.members < risk.least_drives else risk
     share = (risk or USUAL).keeping
-    judged = tuple(j for limit in limits if (j := _judge_limit(prediction, limit, share)) is not None)
+    limits = worst.items() if finished.any() else ()
+    judged = tuple(j for one in limits if (j := _judge_limit(prediction, *one, share)) is not None)
     outcomes = {
         OUTCOMES[int(k)]: int(n) for k, n in zip(*np.unique(prediction.outcome, return_counts=True), strict=True)
     }
-    chance = Chance(int((~keeps_limits(prediction)).sum()), prediction.members)
+    chance = Chance(int((~keeps_limits(prediction, worst)).sum()), prediction.members)
     early = [f"{n} of {prediction.members} members: {text}" for text, n in outcomes.items() if text != OUTCOMES[0]]
     reasons = early if risk is None else _beyond(risk, chance)
     accepted = [] if risk is None else [_within(risk, chance), *early]
@@ -269,7 +270,7 @@ def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
     reasons += [_crossed(one, prediction.members) for one in near if one.margin_m < 0]
     states = validity(prediction)
     touches = False
-    if any(one.quantity == "clearance_m" for one in judged):
+    if any(one.quantity == "clearance_m" and (values < 0).any() for one, values in limits):
         least, unknown = clearance(prediction)
         touches, reasons = bool((least[prediction.reached] < 0).any()), reasons + _over_unknown(prediction, unknown)
     reasons += _beyond_model(states)
@@ -347,9 +348,10 @@ def _within(risk: AcceptedRisk, chance: Chance) -> str:
     )
 
 
-def _judge_limit(prediction: Prediction, limit: Limit, share: float) -> Judgement | None:
-    """A limit that a share of the members must keep; None where no member that finished has a value."""
-    values = extremes(prediction, limit.quantity)
+def _judge_limit(prediction: Prediction, limit: Limit, values: FloatArray, share: float) -> Judgement | None:
+    """A limit that a share of the members must keep, of whose worst `values` (members,); None where no member that
+    finished has a value.
+    """
     members = np.flatnonzero(prediction.finished & ~np.isnan(values))
     if not members.size:
         return None

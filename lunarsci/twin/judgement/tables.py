@@ -6,13 +6,13 @@ In every table `rover` and `ground` are as `Rover.written` and `Terrain.written`
 refuse states of another rover or ground.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray, at_times
+from lunarsci.arrays import BoolArray, FloatArray, at_times, spans
 from lunarsci.regolith.states import FROM_MOTION
 from lunarsci.twin.judgement.quantities import along
 from lunarsci.twin.simulation.dynamics import MOST_LOAD
@@ -35,6 +35,10 @@ PROFILED = {
     "sinkage_m": "m",
 }
 """Quantities of the profiles, and their units."""
+SHARES = (5, 50, 95, 0, 100)
+"""Of the members, in the order of a profile's columns. [%]"""
+PIECE = 32
+"""Members of a piece of a table: some megabytes."""
 ALL = "all"
 """In the column `wheel` of a profile: all wheels together."""
 QUANTITIES = (
@@ -57,9 +61,11 @@ def spread(values: FloatArray, reached: BoolArray) -> FloatArray:
     """
     values = values if values.ndim == 3 else values[..., None]
     counted = reached[..., None] & ~np.isnan(values)
-    rows = np.full((5, values.shape[1]), np.nan)
-    for sample in np.flatnonzero(counted.any(axis=(0, 2))):
-        rows[:, sample] = np.percentile(values[:, sample][counted[:, sample]], (5, 50, 95, 0, 100))
+    rows, whole = np.full((5, values.shape[1]), np.nan), counted.all(axis=(0, 2))
+    if whole.any():
+        rows[:, whole] = np.percentile(values[:, whole], SHARES, axis=(0, 2))
+    for sample in np.flatnonzero(counted.any(axis=(0, 2)) & ~whole):
+        rows[:, sample] = np.percentile(values[:, sample][counted[:, sample]], SHARES)
     return rows
 
 
@@ -92,8 +98,15 @@ def profile_table(prediction: Prediction) -> "pd.DataFrame":
     return table[table["p50"].notna()].reset_index(drop=True)
 
 
-def state_table(prediction: Prediction) -> "pd.DataFrame":
+def state_tables(prediction: Prediction) -> "Iterator[pd.DataFrame]":
+    """`state_table` in pieces, which take less memory one after the other than all of it."""
+    return (state_table(prediction, members) for members in spans(prediction.members, PIECE))
+
+
+def state_table(prediction: Prediction, members: range | None = None) -> "pd.DataFrame":
     """States and forces of each wheel: one row for each member, distance and wheel, as far as the member came.
+
+    Of some of the members, or of all of them.
 
     Columns member, distance_m, time_s, wheel, x_m, y_m (wheel centre), sinkage_m, slip_ratio, side_slip_deg,
     normal_force_n, drawbar_pull_n, lateral_force_n, resistance_torque_nm, valid, rover, ground. `distance_m` is as
@@ -102,7 +115,9 @@ def state_table(prediction: Prediction) -> "pd.DataFrame":
     """
     import pandas as pd
 
-    member, sample = np.nonzero(prediction.reached)
+    first, last = (0, prediction.members) if members is None else (members.start, members.stop)
+    member, sample = np.nonzero(prediction.reached[first:last])
+    member += first
     values = prediction.states[member, sample].reshape(-1, len(STATE_COLUMNS))
     table = pd.DataFrame(values, columns=list(STATE_COLUMNS))
     names = prediction.rover.wheels
@@ -111,8 +126,12 @@ def state_table(prediction: Prediction) -> "pd.DataFrame":
     table.insert(0, "member", np.repeat(member, count))
     table.insert(1, "distance_m", np.repeat(prediction.distance_m[sample], count))
     table.insert(2, "time_s", np.repeat(prediction.time_s[sample], count))
-    table.insert(3, "wheel", np.tile(names, len(member)))
-    return table.assign(rover=prediction.rover.written, ground=prediction.terrain.written)
+    table.insert(
+        3, "wheel", pd.Series(pd.Categorical.from_codes(np.tile(np.arange(count), len(member)), pd.Index(names)))
+    )
+    for name, text in (("rover", prediction.rover.written), ("ground", prediction.terrain.written)):
+        table[name] = pd.Categorical.from_codes(np.zeros(len(table), dtype=np.int8), pd.Index([text]))
+    return table
 
 
 def held_table(result: PrescribedLoads) -> "pd.DataFrame":

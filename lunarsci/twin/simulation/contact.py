@@ -69,7 +69,7 @@ NORMAL_DAMPING, MASS_ON_WHEEL = 400.0, 22.5
 """Assumed, for a calm touch-down: half of critical for this mass on a wheel on 7 kN/m, and for another in proportion;
 the soil's own is not published. [N s/m, kg]"""
 AT_REST, DRIVEN, HELD = 0, 1, 2
-"""Modes of `add_wheel`: a rover at rest, one that drives, and one that is held to a motion."""
+"""Modes of `find_contact`: a rover at rest, one that drives, and one that is held to a motion."""
 TAKE_UP_M = 1e-3
 """Travel over which the bearing takes up a change of slip: at a creep it does not follow at once. Assumed, short
 against the contact, so that a step under way passes it. [m]"""
@@ -403,33 +403,41 @@ def meet_ground(
     body.outcome = choose(sinkage + wheel.rut[1] > tyre[0], SANK, body.outcome)
 
 
-@formula
-def add_rows(work: Any, w: Any, number: Any, rover: Any, side: Any, time_step_s: Any, lane: Any) -> None:
-    """Add a wheel, its mass and the soil's wrench, to its side of the system.
-
-    A coordinate whose rate moves the wheel's centre by `moved` along the contact axes, and turns it by `turned`, has a
-    row of coefficients by which it meets the others' levers.
-    """
-    body, wheel, kg, hung = BODY.of(work.body, lane), WHEEL.of(work.wheels, w, lane), rover.wheel_kg, rover.hung[w]
+def moves_of(work: Any, w: Any, rover: Any, side: Any, lane: Any) -> Any:
+    """How each of the eight coordinates moves a wheel's centre, and turns it, along its contact axes."""
+    body, wheel, hung = BODY.of(work.body, lane), WHEEL.of(work.wheels, w, lane), rover.hung[w]
     axes = (wheel.forward, wheel.across, wheel.upward)
     still, arms = (0.0, 0.0, 0.0), [cross(wheel.arm, axis) for axis in axes]
     turn = seen_from(axes, (body.x_row[1], body.y_row[1], body.z_row[1]))
     moves = list(zip(*axes, strict=True)) + list(zip(*arms, strict=True))
     moves += [seen_from(axes, wheel.swing), seen_from(axes, wheel.bogie_swing)]
-    turns = [still] * 3 + list(zip(*axes, strict=True)) + [times(turn, side), times(turn, hung)]
+    return wheel, moves, [still] * 3 + list(zip(*axes, strict=True)) + [times(turn, side), times(turn, hung)]
+
+
+@formula
+def add_rows(work: Any, w: Any, count: Any, rover: Any, side: Any, time_step_s: Any, lane: Any) -> None:
+    """Add wheels of a side, their masses and the soil's wrenches, to its part of the system.
+
+    `w` is the first of them, 0 or 1, and `count` how many there are, plain numbers; `side` is 1 on the left. A
+    coordinate whose rate moves a wheel's centre by `moved` along the contact axes, and turns it by `turned`, has a row
+    of coefficients by which it meets the others' levers.
+    """
+    kg, number = rover.wheel_kg, w % 2
     system = SYSTEM.of(work.sides, number, lane)
+    wheels = [moves_of(work, w + 2 * k, rover, side, lane) for k in range(count)]
     matrix, right = list(system.matrix), list(system.right)
-    along, across = wheel.by_forward, wheel.by_across
-    for i, (moved, turned) in enumerate(zip(moves, turns, strict=True)):
-        row = (
-            kg * moved[0] - time_step_s * (moved[0] * along[0] + moved[2] * along[1] + turned[1] * along[2]),
-            kg * moved[1] - time_step_s * (moved[1] * across[0] + turned[0] * across[1] + turned[2] * across[2]),
-            (kg + wheel.stiff[0]) * moved[2],
-        )
-        for j, other in enumerate(moves):
-            matrix[8 * i + j] = matrix[8 * i + j] + dot(row, other)
-        work_done = dot(moved, wheel.force) + dot(turned, wheel.moment)
-        right[i] = right[i] + (time_step_s * work_done - moved[2] * wheel.stiff[1])
+    for i in range(8):
+        for wheel, moves, turns in wheels:
+            along, across, moved, turned = wheel.by_forward, wheel.by_across, moves[i], turns[i]
+            row = (
+                kg * moved[0] - time_step_s * (moved[0] * along[0] + moved[2] * along[1] + turned[1] * along[2]),
+                kg * moved[1] - time_step_s * (moved[1] * across[0] + turned[0] * across[1] + turned[2] * across[2]),
+                (kg + wheel.stiff[0]) * moved[2],
+            )
+            for j, other in enumerate(moves):
+                matrix[8 * i + j] = matrix[8 * i + j] + dot(row, other)
+            work_done = dot(moved, wheel.force) + dot(turned, wheel.moment)
+            right[i] = right[i] + (time_step_s * work_done - moved[2] * wheel.stiff[1])
     system.matrix, system.right = tuple(matrix), tuple(right)
 
 
@@ -443,8 +451,8 @@ def any_stands(wheels: Any, w: int) -> bool:
 
 
 @joined
-def add_wheel(work: Any, w: int, rover: Any, tyre: Any, time_step_s: float, mode: int) -> None:
-    """Add wheel `w`, its mass and the soil's wrench, to the system of a step, and keep what the contact found.
+def find_contact(work: Any, w: int, rover: Any, tyre: Any, time_step_s: float, mode: int) -> None:
+    """Keep what the contact of wheel `w` finds.
 
     Parameters
     ----------
@@ -466,4 +474,3 @@ def add_wheel(work: Any, w: int, rover: Any, tyre: Any, time_step_s: float, mode
             stand(work.wheels, w, tyre, time_step_s, load, lane)
         if mode == AT_REST:
             lean(work.wheels, w, tyre, lane)
-        add_rows(work, w, w % 2, rover, side, time_step_s, lane)

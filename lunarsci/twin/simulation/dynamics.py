@@ -39,7 +39,7 @@ from lunarsci.twin.lanes import (
     seen_from,
     times,
 )
-from lunarsci.twin.simulation.contact import add_wheel, read_ruts
+from lunarsci.twin.simulation.contact import add_rows, find_contact, read_ruts
 
 COS_OVERTURNED = math.cos(math.radians(STEEPEST_DEG))
 """Cosine of the tilt from which on a rover has overturned."""
@@ -173,7 +173,7 @@ def _product(one: Any, two: Any) -> Any:
 def assemble(rover: Any, tyre: Any, grid: Any, override: Any, time_step_s: float, mode: int, work: Any) -> None:
     """Kinematics, ground contact and the linear system of a step at the pose, velocity and commands in `work`.
 
-    `mode` as in `add_wheel`.
+    `mode` as in `find_contact`.
     `work.code` takes the outcome of members that were still FINISHED.
     """
     for lane in range(0, GROUP, LANES):
@@ -185,7 +185,14 @@ def assemble(rover: Any, tyre: Any, grid: Any, override: Any, time_step_s: float
         read_ground(grid, override, work.wheels[w], work.code)
         if work.ruts.shape[1] > 1:
             read_ruts(work, w)
-        add_wheel(work, w, rover, tyre, time_step_s, mode)
+        find_contact(work, w, rover, tyre, time_step_s, mode)
+    for lane in range(0, GROUP, LANES):
+        if len(rover.arms) == 6:
+            add_rows(work, 0, 3, rover, 1.0, time_step_s, lane)
+            add_rows(work, 1, 3, rover, -1.0, time_step_s, lane)
+        else:
+            add_rows(work, 0, 2, rover, 1.0, time_step_s, lane)
+            add_rows(work, 1, 2, rover, -1.0, time_step_s, lane)
     note_outcomes(work.body, work.code)
 
 

@@ -88,7 +88,7 @@ class PowerState:
             raise ParameterError(f"charge is {np.max(self.charge):g}; give a share from 0 to 1")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, weakref_slot=True, kw_only=True, eq=False)
 class Prediction:
     """Where the rover may go and what its wheels may meet, one row for each member of the ensemble.
 

@@ -213,7 +213,7 @@ def balance(rover: Any, tyre: Any, grid: Any, override: Any, mode: int, velocity
     """Bring the rovers into equilibrium at their x, y and yaw, with the forces of `mode` at `velocity` (GROUP, 9).
 
     `rover`, `tyre` and `grid` are `Rover.vector()`, `Wheel.vector()` and `Terrain.grid()`, `override` (GROUP, 12) soil
-    and wheels of each rover, `mode` is one of `add_wheel`, and `work` a `Work` with the poses to begin with.
+    and wheels of each rover, `mode` is one of `find_contact`, and `work` a `Work` with the poses to begin with.
     Each round is a step from rest with a growing time_step_s, which turns from damped dynamics into a Newton iteration.
     Converged at 1e-9 of the weight. `left` (GROUP, 3) takes the force in x and y [N] and the moment about the vertical
     [N m] that hold the rover beside the wheels; none is left `AT_REST`, where the ground does. Outcomes in `work.code`.

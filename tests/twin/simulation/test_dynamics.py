@@ -321,7 +321,7 @@ def test_what_is_compiled_is_what_the_formulas_say(rover: Rover) -> None:
         read_ground(slope, OWN_SOIL, plain.wheels[w], plain.code)
         for lane in range(0, GROUP, LANES):
             meet_ground(plain, w, tyre, vector, side, dt, DRIVEN, calm, lane)
-            add_rows(plain, w, w % 2, vector, side, dt, lane)
+            add_rows(plain, w, 1, vector, side, dt, lane)
     assert (WHEEL.view(work.wheels, "normal") > 1.0).any() and (WHEEL.view(work.wheels, "normal") == 0.0).any()
     for part in ("body", "wheels", "sides"):
         found, expected = getattr(work, part), getattr(plain, part)
