@@ -34,6 +34,7 @@ PIECE_ROWS, LONGEST_LINE = 20_000, 1 << 26
 DECIMAL_COMMA = re.compile(r"^(\s*[+-]?\d*),(\d+(?:[eE][+-]?\d+)?\s*)$")
 UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 EXACT_POWER = 22
+"""Up to this power of ten a float64 is exact."""
 POWERS = np.array([float(f"1e{power}") for power in range(EXACT_POWER + 1)])
 BLANK = ("nan", "na", "-", "")
 _RARE = ('"', "#", "\r", "\v", "\f", "\x1c", "\x1d", "\x1e")
