@@ -77,7 +77,7 @@ SETTINGS = {
         "parallel/dask_cluster.py: CONNECT_S, LONELY_S, LOOK_S", "twin/simulation/contact.py: MOST_NODES"),
     "steps, starts and ends of a search or a sum, and where floating point runs out: finer ones give the same": (
         "images/rocks.py: SCALES_M", "images/labels.py: RANGES", "images/matching.py: SMALL_STEP_PX",
-        "compiled/lanes.py: LARGEST", "compiled/lanes.py: ROUNDING",
+        "compiled/lanes.py: DOUBLES_LAYOUT", "compiled/lanes.py: SINGLES_LAYOUT",
         "heights/projections.py: STEP_M", "regolith/inference/mode.py: FIRST_SHARE, ROUNDS, SETTLED",
         "regolith/inference/mode.py: LONGEST", "regolith/inference/prediction.py: STEPS, SHALLOWEST",
         "regolith/inference/problem.py: STEP", "regolith/inference/problem.py: LEAST_SHARE",
@@ -91,7 +91,7 @@ SETTINGS = {
         "spectra/abundance/estimate.py: ORIGIN_UM", "spectra/band_shape.py: SEARCH",
         "spectra/mgm/fit.py: CONTINUUM_QUANTILE", "spectra/mgm/fit.py: FIRST_STRENGTH",
         "spectra/mgm/fit.py: HOP_SIGMAS", "spectra/mgm/fit.py: START_SIGMAS", "spectra/mgm/laplace.py: TAIL",
-        "spectra/mgm/levenberg_marquardt.py: BELIEF", "spectra/mgm/forward.py: ORIGIN",
+        "spectra/mgm/levenberg_marquardt.py: BELIEF",
         "spectra/mgm/levenberg_marquardt.py: COARSE_DOUBT", "spectra/mgm/levenberg_marquardt.py: SAME_BASIN",
         "spectra/mgm/intervals.py: COARSE_UM", "spectra/mgm/intervals.py: CONTINUUM_SPREAD",
         "spectra/mgm/intervals.py: CLOSE", "spectra/mgm/intervals.py: NARROW", "spectra/mgm/fit_file.py: NARROWEST_UM",

@@ -40,7 +40,7 @@ LINE = 64
 """Bytes of a cache line: a row of eight that lies across two of them costs two reads."""
 
 
-class Layout(NamedTuple):
+class FloatLayout(NamedTuple):
     """How numbers are stored (IEEE 754), and how exponentials of them are made.
 
     Attributes
@@ -193,7 +193,7 @@ def mantissa_of(value: Any) -> Any:
     return value.from_bits(value.builder.or_(low, value.whole(bias << bits)))
 
 
-def _layout(value: Any) -> Layout:
+def _layout(value: Any) -> FloatLayout:
     """Of a number's kind; in Python all are doubles."""
     return SINGLES_LAYOUT if isinstance(value, TracedNumber) and value.is_single else DOUBLES_LAYOUT
 
@@ -327,9 +327,9 @@ def _rest_of_exponential(count: int) -> tuple[float, ...]:
     return _interpolated(lambda n: 1 / math.factorial(n + 3), count, -_HALF_LN_2, _HALF_LN_2)
 
 
-DOUBLES_LAYOUT = Layout(52, 1023, 700.0, (LN_2_HIGH, LN_2_LOW), _rest_of_exponential(9))
+DOUBLES_LAYOUT = FloatLayout(52, 1023, 700.0, (LN_2_HIGH, LN_2_LOW), _rest_of_exponential(9))
 """Leaves 3e-17 of an exponential."""
-SINGLES_LAYOUT = Layout(23, 127, 86.0, (0.693359375, math.log(2) - 0.693359375), _rest_of_exponential(4))
+SINGLES_LAYOUT = FloatLayout(23, 127, 86.0, (0.693359375, math.log(2) - 0.693359375), _rest_of_exponential(4))
 """Leaves 2e-8 of an exponential."""
 
 

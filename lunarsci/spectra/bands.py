@@ -291,7 +291,7 @@ def measure_rows(
         rows = slice(chunk * CHUNK, min((chunk + 1) * CHUNK, count))
         part = np.ascontiguousarray(reflectance[rows], float)
         given = np.empty((0, part.shape[1])) if sigma is None else sigma[rows] if sigma.ndim > 1 else sigma
-        noise = given if sigma is None else np.ascontiguousarray(np.broadcast_to(given, part.shape), float)
+        noise = given if sigma is None else np.array(np.broadcast_to(given, part.shape), float, order="C")
         _measure(grid, places, part, noise, np.ascontiguousarray(shifts[rows]), _work(grid), numbers[rows], codes[rows])
         if grid.wavelength_nm[-1] < ABSENT_NM:
             two = codes[rows, -1, CODE.status]
