@@ -62,6 +62,28 @@ def predicted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path
 
 
+def test_tables_in_parquet_are_compared_as_those_in_csv(run, drive: Drive, tmp_path: Path) -> None:
+    folder = tmp_path / "parquet"
+    predict = ("twin", "predict", drive.plan, "--soil", tmp_path / "belief.json", "-q", "--members", "32")
+    assert run(*predict, "-o", folder, "--tables", "parquet").code == 0
+    assert {path.name for path in folder.iterdir()} == {
+        path.name.replace(".csv", ".parquet") for path in drive.folder.iterdir()
+    }
+    for name in ("states", "paths", "endpoints", "profiles"):
+        exact, rounded = pd.read_parquet(folder / f"{name}.parquet"), pd.read_csv(drive.folder / f"{name}.csv")
+        numbers = exact.select_dtypes("number").columns
+        assert np.allclose(exact[numbers], rounded[numbers], rtol=1e-8, atol=0, equal_nan=True)
+        exact, rounded = exact.drop(columns=numbers), rounded.drop(columns=numbers).fillna("")
+        assert (exact.astype(str) == rounded.astype(str)).all(axis=None) and len(exact.columns)
+    compare = [("twin", "compare", place, *drive.arguments()[3:], "--json") for place in (drive.folder, folder)]
+    one, other = (json.loads(run(*words).out)["result"] for words in compare)
+    assert one["verdict"] == other["verdict"] == "trusted"
+    assert one["end"]["p"] == pytest.approx(other["end"]["p"], rel=1e-6)
+    (folder / "states.parquet").write_bytes(b"PAR1")
+    assert "states.parquet: not as it was written" in run(*compare[1]).err[-1]
+    assert run(*predict, "--tables", "xlsx").code == 2
+
+
 def test_a_drive_as_predicted_is_trusted(run, drive: Drive, tmp_path: Path) -> None:
     picture = tmp_path / "compare.png"
     done = run(*drive.arguments(), "--plan", drive.plan, "--json", "--plot", picture)

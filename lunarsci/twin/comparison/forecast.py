@@ -14,6 +14,7 @@ from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.io.documents import json_document
 from lunarsci.io.inputs import InputFile, read_input, text
+from lunarsci.io.tables import TABLE_FORMS
 from lunarsci.provenance import sha256
 from lunarsci.regolith.physics_discrepancy import SHARED, PhysicsDiscrepancy
 from lunarsci.twin.assimilation.residuals import (
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 
 SCHEMA = "lunarsci/twin-prediction/1"
 FILE = "prediction.json"
-TABLES = ("states.csv", "paths.csv")
+TABLES = ("states", "paths")
 """Of the folder, with the states and paths of every drive."""
 AGAIN = "predict the drive again with `lunarsci twin predict -o`"
 _ALIKE = ("plan", "time_s", "distance_m", "planned", "states", "halted", "recorded", "outcome", "discrepancy")
@@ -117,7 +118,7 @@ def forecast_of(
 
 
 def forecast_document(forecast: Forecast, tables: Mapping[str, Callable[[], bytes]]) -> dict[str, Any]:
-    """What goes into `prediction.json` beside the tables of states and paths, whose hashes it holds."""
+    """What goes into `prediction.json` beside the files of states and paths, whose hashes it holds."""
     return {
         "schema": SCHEMA,
         "rover": {
@@ -138,7 +139,7 @@ def forecast_document(forecast: Forecast, tables: Mapping[str, Callable[[], byte
         "recorded": forecast.recorded.tolist(),
         "outcome": [OUTCOMES[code] for code in forecast.outcome],
         "discrepancy": None if forecast.discrepancy is None else _discrepancy_document(forecast.discrepancy),
-        "tables": {name: sha256(tables[name]()) for name in TABLES},
+        "tables": {name: sha256(make()) for name, make in tables.items()},
     }
 
 
@@ -160,8 +161,6 @@ def read_forecast(folder: str | Path) -> tuple[Forecast, dict[str, str]]:
     Raises DataError for a folder without `prediction.json`, one of another version, and tables that are missing or not
     as they were written.
     """
-    import pandas as pd
-
     place = Path(folder)
     if not (place / FILE).is_file():
         raise DataError(f"{folder}: no {FILE} in it; name a folder of `lunarsci twin predict -o`")
@@ -169,7 +168,7 @@ def read_forecast(folder: str | Path) -> tuple[Forecast, dict[str, str]]:
     document = _document(source)
     files = {name: _table_file(place, name, document) for name in TABLES}
     try:
-        result = _forecast(str(folder), document, *(pd.read_csv(io.BytesIO(files[name].data)) for name in TABLES))
+        result = _forecast(str(folder), document, *map(_table, files.values()))
     except (KeyError, TypeError, IndexError, ValueError, ParameterError) as error:
         if isinstance(error, DataError):
             raise
@@ -188,12 +187,22 @@ def _document(source: InputFile) -> Any:
     return document
 
 
-def _table_file(place: Path, name: str, document: Any) -> InputFile:
+def _table_file(place: Path, kind: str, document: Any) -> InputFile:
+    hashes = document.get("tables")
+    known = hashes if isinstance(hashes, dict) else {}
+    names = [f"{kind}.{form}" for form in TABLE_FORMS]
+    name = next((one for one in names if one in known), names[0])
     file = read_input(str(place / name))
-    tables = document.get("tables")
-    if not isinstance(tables, dict) or tables.get(name) != file.sha256:
+    if known.get(name) != file.sha256:
         raise DataError(f"{file.name}: not as it was written with {FILE} (cut off, changed, or of another); {AGAIN}")
     return file
+
+
+def _table(file: InputFile) -> "pd.DataFrame":
+    import pandas as pd
+
+    read = pd.read_parquet if file.name.endswith(".parquet") else pd.read_csv
+    return read(io.BytesIO(file.data))
 
 
 def _forecast(origin: str, document: Any, states: "pd.DataFrame", paths: "pd.DataFrame") -> Forecast:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.errors import within_option
 from lunarsci.io.inputs import Source
-from lunarsci.io.tables import csv_bytes
-from lunarsci.options import request_of
+from lunarsci.io.tables import TABLE_FORMS
+from lunarsci.options import refuse_where, request_of
 from lunarsci.provenance import sha256, to_json
 from lunarsci.regolith.prior import Question
 from lunarsci.result import Doubt, MadeFrom, Progress, Result, job
@@ -152,19 +152,24 @@ class PredictedDrives(Result):
 
         return animate(self.prediction, self.verdict, target, progress=progress)
 
-    def files(self) -> dict[str, Callable[[], bytes]]:
-        """The tables of all drives, and what `compare` reads after the drive: name to what makes the content."""
+    def files(self, *, tables: str = "csv") -> dict[str, Callable[[], bytes]]:
+        """The tables of all drives, and what `compare` reads after the drive: name to what makes the content.
+
+        `tables` is their form, of `TABLE_FORMS`. Raises RequestError for another.
+        """
         prediction, rover = self.prediction, sha256(self.inputs.description.text.encode())
-        tables = {
-            "states.csv": cache(lambda: csv_bytes(judged.state_tables(prediction))),
-            "paths.csv": cache(lambda: csv_bytes(judged.path_table(prediction))),
+        refuse_where({f"`tables` is {tables!r}; give {' or '.join(TABLE_FORMS)}": tables not in TABLE_FORMS})
+        write = TABLE_FORMS[tables]
+        hashed = {
+            f"states.{tables}": cache(lambda: write(judged.state_tables(prediction))),
+            f"paths.{tables}": cache(lambda: write(judged.path_table(prediction))),
         }
         forecast = forecast_of(prediction, soils=self.soils.kind, rover_sha256=rover, soil=self.soils.record())
         return {
-            **tables,
-            FILE: lambda: to_json(forecast_document(forecast, tables)).encode(),
-            "endpoints.csv": lambda: csv_bytes(judged.endpoint_table(prediction)),
-            "profiles.csv": lambda: csv_bytes(judged.profile_table(prediction)),
+            **hashed,
+            FILE: lambda: to_json(forecast_document(forecast, hashed)).encode(),
+            f"endpoints.{tables}": lambda: write(judged.endpoint_table(prediction)),
+            f"profiles.{tables}": lambda: write(judged.profile_table(prediction)),
         }
 
 
