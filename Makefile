@@ -20,7 +20,7 @@ endef
 help: ## this list
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | expand -t 8
 
-demo: $(VENV)/.installed ## the whole chain on embedded data, with pictures in lunarsci-demo
+demo: $(VENV)/.compiled ## the whole chain on embedded data, with pictures in lunarsci-demo
 	$(BIN)/lunarsci demo --force
 
 test: $(VENV)/.tested ## the whole suite
@@ -50,6 +50,11 @@ $(VENV)/.made: FORCE
 
 $(VENV)/.installed: pyproject.toml $(VENV)/.made
 	$(call install,report)
+
+# What bands, fit, forces, identify and predict compile is there before anybody waits for it.
+$(VENV)/.compiled: $(VENV)/.installed
+	-$(BIN)/lunarsci doctor
+	@touch $@
 
 $(VENV)/.quick: pyproject.toml $(VENV)/.made
 	$(call install,quick)

@@ -344,12 +344,13 @@ def _judge_all(counts: Any, rows: Any, options: Any, degrees: int, space: Any, j
 
 
 @uncounted
-def _weigh(state: Any, lane: int, settled: bool) -> int:
+def _weigh(state: Any, lane: int, settled: bool, tolerance: float) -> int:
     """What to do with a step that keeps within the bounds: `GOES_ON`, `AGAIN` or a status.
 
-    `settled` : whether it promises less than the tolerance.
+    `settled` : whether it promises less than the tolerance. One that promises a rise, where bounds cut off a step that
+    went far beyond them, says nothing of a minimum.
     """
-    if not state[PIVOT, lane] > 0.0:
+    if not state[PIVOT, lane] > 0.0 or state[PREDICTED, lane] < -tolerance * state[SCALE, lane]:
         _damp_more(state, lane)
         return AGAIN
     if not settled:
@@ -424,7 +425,7 @@ def _propose(problem: Any, options: Any, bars: Any, space: Any, jobs: Any) -> No
                 held = 1
                 continue
             jobs.iterations[lane] += 1
-            verdict = _weigh(state, lane, settled)
+            verdict = _weigh(state, lane, settled, options.tolerance)
             if verdict == GOES_ON and _is_hopeless(state, lane, bars, options, jobs):
                 verdict = GIVEN_UP
             if verdict == AGAIN:
@@ -548,14 +549,14 @@ def correct(
     spaces: tuple[Workspace, Workspace],
 ) -> None:  # fmt: skip
     """Shift the coarse data so that at the points, (rows, p), coarse residuals are the means of the fine ones and the
-    slope of the coarse objective is that of the fine one; `spaces` are of doubles, and of singles for the coarse.
+    slope of the coarse objective is that of the fine one; `spaces` of both are of doubles.
 
     What the model and the noise do within a coarse channel is then accounted for, and minima near the points are the
     same. The correction of full approximation storage: Brandt (1977), Math. Comp. 31, 333,
     10.1090/S0025-5718-1977-0431719-X; here it is put on the data, which keeps the objective a sum of squares.
     """
     unbounded = np.full(problem.prior.size, np.inf)
-    free = problem._replace(lower=-unbounded, upper=unbounded).in_singles()
+    free = problem._replace(lower=-unbounded, upper=unbounded)
     wanted = linearised(fine, problem, points, spaces[0])
     weight = np.where(coarse.root_weight > 0, coarse.root_weight, np.inf)
     sums = added(fine.root_weight * wanted.residuals, together)
@@ -742,7 +743,7 @@ class Multistart:
             return
         points = self.best[rows]
         if self.together > 1:
-            spaces = self.fine_space, self.coarse_space
+            spaces = self.fine_space, workspace_for(self.best.shape[1], self.problem.degrees, self.coarse.data.shape[1])
             correct(self.fine, self.coarse, self.together, self.problem, self.best, spaces)
         points, outcomes = self._explore(rows, points, NEAR_TOLERANCE, tempering=False)
         self.floor[rows] = outcomes[:, 1]

@@ -140,7 +140,7 @@ def test_corrected_coarse_spectra_have_the_slope_of_the_fine_ones() -> None:
     problem = FitProblem(2, False, point, np.diag(sigma**-2.0), np.full(size, -np.inf), np.full(size, np.inf))
     points = np.tile(point * 1.001, (3, 1))
     before, after = coarsened(fine, 8), coarsened(fine, 8)
-    spaces = workspace_for(size, 2, GRID_NM.size), workspace_for(size, 2, after.data.shape[1], np.float32)
+    spaces = workspace_for(size, 2, GRID_NM.size), workspace_for(size, 2, after.data.shape[1])
     correct(fine, after, 8, problem, points, spaces)
 
     def slope(spectra: Channels, row: int) -> tuple[np.ndarray, np.ndarray]:

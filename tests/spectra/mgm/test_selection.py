@@ -198,7 +198,7 @@ def test_a_choice_that_was_stopped_goes_on_where_it_was(tmp_path: Path, monkeypa
 
 
 @pytest.mark.parametrize(
-    "options", [{"families": ("OL",)}, {"families": ("OL", "ol")}, {"model_error": 0.0}, {"starts": 0}]
+    "options", [{"families": ("OL",)}, {"families": ("OL", "ol")}, {"model_error": 0.0}, {"starts": -1}]
 )
 def test_impossible_options_are_refused(options: dict[str, object]) -> None:
     with pytest.raises(ParameterError):
