@@ -190,6 +190,10 @@ def _translated(codegen: Any, part: Any, entry: ir.Module) -> tuple[bytes, list[
         if not function.is_declaration and function.name not in exported:
             function.linkage = llvm.Linkage.internal
     outside = {one.name for one in module.functions if one.is_declaration and not one.name.startswith("llvm.")}
+    if foreign := [name for name in outside if name.startswith("NRT_")]:
+        raise TypeError(
+            f"{entry.name}: {', '.join(foreign)} would end what `_runtime` makes; leave lists that grow out"
+        )
     return codegen._tm.emit_object(module), sorted(outside)
 
 
@@ -198,11 +202,21 @@ def _runtime() -> ir.Module:
     module, size, nothing = ir.Module("runtime"), INTEGER, ir.VoidType()
     malloc = ir.Function(module, ir.FunctionType(POINTER, [size]), "malloc")
     free = ir.Function(module, ir.FunctionType(nothing, [POINTER]), "free")
-    for name in ("NRT_MemInfo_call_dtor", "NRT_Free"):
-        ending = ir.Function(module, free.function_type, name)
-        builder = ir.IRBuilder(ending.append_basic_block())
-        builder.call(free, ending.args)
-        builder.ret_void()
+    plain = ir.Function(module, free.function_type, "NRT_Free")
+    builder = ir.IRBuilder(plain.append_basic_block())
+    builder.call(free, plain.args)
+    builder.ret_void()
+    ending = ir.Function(module, free.function_type, "NRT_MemInfo_call_dtor")
+    builder = ir.IRBuilder(ending.append_basic_block())
+    words = builder.bitcast(ending.args[0], size.as_pointer())
+    apart, last, data = (builder.load(builder.gep(words, [size(number)])) for number in (1, 2, 3))
+    with builder.if_then(builder.icmp_unsigned("!=", apart, size(0))):
+        with builder.if_then(builder.icmp_unsigned("!=", last, size(0))):
+            builder.call(builder.inttoptr(last, free.function_type.as_pointer()), [builder.inttoptr(data, POINTER)])
+        builder.call(free, [builder.inttoptr(data, POINTER)])
+    builder.call(free, ending.args)
+    builder.ret_void()
+    _add_list_maker(module, malloc)
     making = ir.Function(module, ir.FunctionType(POINTER, [size, ir.IntType(32)]), "NRT_MemInfo_alloc_aligned")
     builder = ir.IRBuilder(making.append_basic_block())
     alignment = builder.zext(making.args[1], size)
@@ -216,3 +230,20 @@ def _runtime() -> ir.Module:
             builder.store(value, builder.gep(words, [size(number)]))
     builder.ret(place)
     return module
+
+
+def _add_list_maker(module: ir.Module, malloc: ir.Function) -> None:
+    """What makes a list, whose entries lie apart: word 1 says so, word 2 is what ends them."""
+    size = INTEGER
+    making = ir.Function(module, ir.FunctionType(POINTER, [size, POINTER]), "NRT_MemInfo_new_varsize_dtor")
+    builder = ir.IRBuilder(making.append_basic_block())
+    place, entries = builder.call(malloc, [size(ROOM)]), builder.call(malloc, [making.args[0]])
+    there = builder.and_(*(builder.icmp_unsigned("!=", one, POINTER(None)) for one in (place, entries)))
+    with builder.if_then(builder.not_(there)):
+        builder.ret(POINTER(None))
+    words = builder.bitcast(place, size.as_pointer())
+    values = (size(1), size(1), making.args[1], entries, making.args[0], size(0))
+    for number, value in enumerate(values):
+        whole = builder.ptrtoint(value, size) if value.type == POINTER else value
+        builder.store(whole, builder.gep(words, [size(number)]))
+    builder.ret(place)

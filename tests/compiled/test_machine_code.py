@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import resource
 import subprocess
 import sys
 import time
@@ -304,3 +305,26 @@ def test_compiled_functions_run_as_plain_python_for_a_debugger() -> None:
         for extra in ({}, {"NUMBA_DISABLE_JIT": "1"})
     )
     assert float(plain_pull) == pytest.approx(float(compiled_pull), rel=1e-12)
+
+
+@compiled
+def _ranked(count: int, values: Any) -> int:
+    total = 0
+    for _ in range(count):
+        total += np.argsort(values)[0] + len([values[0]] * 100)
+    return total
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="this system does not say what a process holds")
+def test_what_compiled_code_makes_for_itself_is_given_back() -> None:
+    """Arrays, and lists, such as sorting makes, whose entries lie apart."""
+
+    def held_mb() -> float:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
+
+    values = np.random.default_rng(1).random(20)
+    least = int(values.argmin())
+    assert _ranked(1000, values) == 1000 * (least + 100)
+    before = held_mb()
+    assert _ranked(20_000, values) == 20_000 * (least + 100)
+    assert held_mb() - before < 5.0
