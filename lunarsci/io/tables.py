@@ -12,20 +12,16 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
-from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
-from lunarsci.arrays import FloatArray, IntArray, spans
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, warn
-from lunarsci.io.digits import WIDEST, put_rows
 from lunarsci.io.inputs import BEGINNING, InputFile, InputStream, csv_rows, read_input, text
-from lunarsci.io.records import STRUCTURE
-from lunarsci.printable import cell
+from lunarsci.io.records import Records, coded
 from lunarsci.provenance import sha256
 
 if TYPE_CHECKING:
@@ -38,6 +34,9 @@ PIECE_ROWS, LONGEST_LINE = 20_000, 1 << 26
 """Rows that are read at a time, and bytes of the longest line."""
 DECIMAL_COMMA = re.compile(r"^(\s*[+-]?\d*),(\d+(?:[eE][+-]?\d+)?\s*)$")
 UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+EXACT_POWER = 22
+"""Up to this power of ten a float64 is exact."""
+POWERS = np.array([float(f"1e{power}") for power in range(EXACT_POWER + 1)])
 BLANK = ("nan", "na", "-", "")
 _RARE = ('"', "#", "\r", "\v", "\f", "\x1c", "\x1d", "\x1e")
 ALIKE = 0.72
@@ -175,11 +174,12 @@ def csv_bytes(table: "pd.DataFrame | Iterable[pd.DataFrame]") -> bytes:
 
     written = io.BytesIO()
     for number, piece in enumerate([table] if isinstance(table, pd.DataFrame) else table):
+        columns = {str(name): _written(piece[name]) for name in piece}
         if not number:
-            header = io.StringIO()
-            csv.writer(header, lineterminator="\n").writerow(piece)
-            written.write(header.getvalue().encode())
-        _write_rows(piece, written)
+            head = io.StringIO()
+            csv.writer(head, lineterminator="\n").writerow(columns)
+            written.write(head.getvalue().encode())
+        written.writelines(Records(columns).csv_chunks())
     return written.getvalue()
 
 
@@ -206,41 +206,26 @@ TABLE_FORMS: Mapping[str, "Callable[[pd.DataFrame | Iterable[pd.DataFrame]], byt
 """Forms of the tables in a folder, which end their files' names, and what writes them."""
 
 
-def _write_rows(table: "pd.DataFrame", written: io.BytesIO) -> None:
-    columns = [column for _, column in table.items()]
-    is_number = np.array([column.dtype.kind == "f" for column in columns])
-    numbers = [column.to_numpy(np.float64) for column in columns if column.dtype.kind == "f"]
-    others = [_coded(column) for column in columns if column.dtype.kind != "f"]
-    pool, starts = _pooled([text for _, texts in others for text in texts])
-    firsts = np.cumsum([0, *(len(texts) for _, texts in others)])
-    order = np.where(is_number, np.cumsum(is_number) - 1, -np.cumsum(~is_number))
-    widest = len(numbers) * WIDEST + sum(1 + np.diff(starts)[a:b].max() for a, b in pairwise(firsts))
-    room = np.empty(min(PIECE_ROWS, len(table)) * widest, np.uint8)
-    for rows in spans(len(table), PIECE_ROWS):
-        piece, size = slice(rows.start, rows.stop), len(rows)
-        values = np.reshape([column[piece] for column in numbers], (len(numbers), size))
-        codes = [first + column[piece] for (column, _), first in zip(others, firsts, strict=False)]
-        made = put_rows(values, np.reshape(codes, (len(codes), size)).astype(np.int64), order, pool, starts, room)
-        written.write(room[:made].data)
+def _written(column: "pd.Series") -> Any:
+    """A column as records have it."""
+    if column.dtype.kind in "iu":
+        return column.to_numpy()
+    if column.dtype.kind == "f":
+        return nine_digits(column.to_numpy(np.float64))
+    return coded("" if value is None or value != value else str(value) for value in column.tolist())
 
 
-def _coded(column: "pd.Series") -> tuple[IntArray, list[str]]:
-    """Which of some texts each cell of a column has, which is not of numbers with digits behind the point."""
-    import pandas as pd
-
-    if column.dtype == object:
-        column = column.map(lambda value: "" if value is None or value != value else str(value))
-    codes, values = pd.factorize(column)
-    return np.where(codes < 0, len(values), codes), [*map(str, values), ""]
-
-
-def _pooled(texts: Sequence[str]) -> tuple[npt.NDArray[np.uint8], IntArray]:
-    """Texts as cells, all behind each other, and where each begins; in quotes where one of them needs these."""
-    cells = [cell(text) for text in texts]
-    if any(re.search(STRUCTURE, one) for one in cells):
-        cells = ['"{}"'.format(one.replace('"', '""')) if one else "" for one in cells]
-    listed = [one.encode() for one in cells]
-    return np.frombuffer(b"".join(listed), np.uint8), np.cumsum([0, *map(len, listed)])
+def nine_digits(values: FloatArray) -> FloatArray:
+    """The nearest numbers of nine significant digits, (n,)."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        power = np.floor(np.log10(np.abs(values))) - 8.0
+        places = np.nan_to_num(power, nan=0.0, posinf=0.0, neginf=0.0).astype(int)
+        up, down = (POWERS[np.clip(sign * places, 0, EXACT_POWER)] for sign in (-1, 1))
+        rounded = np.round(values * up / down) / up * down
+    rounded = np.where(np.isfinite(rounded), rounded, values)
+    for row in np.flatnonzero(np.isfinite(power) & (np.abs(power) > EXACT_POWER)):
+        rounded[row] = float(f"{values[row]:.9g}")
+    return rounded
 
 
 def numbers_of(name: str, column: str, cells: "pd.Series") -> FloatArray:
