@@ -92,6 +92,8 @@ def predict(
 
     if animate is not None:
         _check_film(output, animate)
+    if tables != "csv" and output.path is None:
+        raise typer.BadParameter("--tables is of the tables in a folder; add -o DIR")
     predicted = job.predict(plan, request, progress=output.progress("driving"))
     films = {} if animate is None else {animate: lambda: _film(predicted, animate, output.quiet)}
     return Report(predicted, result_tables(predicted), files=predicted.files(tables=tables), extras=films)

@@ -12,6 +12,8 @@ from threading import RLock, local
 from types import CellType, CodeType, FunctionType
 from typing import Any
 
+from lunarsci.compiled.began import BEGAN as BEGAN
+
 VECTORS = {"reassoc", "contract", "nsz", "arcp"}
 """`fastmath` that lets sums become vector instructions and still knows infinity and NaN."""
 LANE_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz"}}
@@ -139,7 +141,7 @@ def set_threads(count: int) -> None:
 
 def in_lanes(function: Callable[..., Any], **options: Any) -> Any:
     """Compile a loop that may work on several arguments at once: divisions unchecked, products fused, sums in order."""
-    return compiled(function, nogil=True, **LANE_OPTIONS, **options)
+    return compiled(function, **LANE_OPTIONS, **options)
 
 
 def uncounted(function: Callable[..., Any] | None = None, **options: Any) -> Any:
@@ -147,12 +149,12 @@ def uncounted(function: Callable[..., Any] | None = None, **options: Any) -> Any
 
     It can neither make arrays nor return any: a caller that counts would give them away.
     """
-    return compiled(function, nogil=True, error_model="numpy", _nrt=False, **options)
+    return compiled(function, error_model="numpy", _nrt=False, **options)
 
 
 def joined(function: Callable[..., Any]) -> Any:
     """Compile a function that only calls others as a part of its callers: each of them would optimise it all anew."""
-    return compiled(function, nogil=True, inline="always")
+    return compiled(function, inline="always")
 
 
 def each_in_threads(

@@ -255,9 +255,8 @@ class TracedTable(Traced):
         raise TypeError("a formula cannot take an array apart, whose length it does not know; give it a tuple")
 
     def __getitem__(self, index: Any) -> TracedNumber:
-        return TracedNumber(
-            self.builder, self.builder.load(self.at(*(index if isinstance(index, tuple) else (index,))))
-        )
+        value = self.builder.load(self.at(*(index if isinstance(index, tuple) else (index,))))
+        return TracedNumber(self.builder, self.builder.fpext(value, DOUBLE) if value.type == SINGLE else value)
 
     def lanes(self, *index: "TracedWhole | int") -> ir.Value:
         """Pointer to eight neighbouring numbers, from an entry on."""

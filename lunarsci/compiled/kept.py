@@ -34,6 +34,7 @@ from typing import Any
 import llvmlite.binding as llvm
 import numpy as np
 
+from lunarsci.compiled.began import BEGAN
 from lunarsci.errors import LunarSciWarning
 
 PACKAGE = Path(__file__).parents[1]
@@ -44,8 +45,6 @@ DIGEST_BYTES = 32
 """Of SHA-256, in front of a kept entry."""
 UNUSED_DAYS = 30
 """Machine code that no process has read for so long is taken away; assumed."""
-BEGAN = time.time()
-"""About when this process began to read its sources: what is newer need not be what it compiles. [s]"""
 ROOT = 0
 """Number of the user who may write everywhere."""
 ROWS_FIRST, COLUMNS_FIRST, ALIGNED, WRITEABLE = 0x1, 0x2, 0x100, 0x400
@@ -109,6 +108,8 @@ class Entry:
 
     def __init__(self, name: str, code: bytes, about: Mapping[str, Any]) -> None:
         engine = self._engine = _engine()  # the code lives as long as it
+        if any(llvm.address_of_symbol(symbol) is None for symbol in about["symbols"]):
+            _bring_numba()
         if missing := [symbol for symbol in about["symbols"] if llvm.address_of_symbol(symbol) is None]:
             raise OSError(f"{name} calls {', '.join(missing)}, which this process does not have")
         engine.add_object_file(llvm.ObjectFileRef.from_data(code))
@@ -121,7 +122,7 @@ class Entry:
         self._format = "".join(_letters(self._result))
 
     def __call__(self, arguments: Sequence[Any]) -> Any:
-        """What it gives, with the lock of Python's threads released meanwhile."""
+        """What it gives, with the lock of Python's threads released meanwhile. Raises ArithmeticError for any error."""
         slots: list[Any] = []
         for value in arguments:
             _put(value, slots)
@@ -129,7 +130,7 @@ class Entry:
             self._given = struct.Struct("".join(["d" if isinstance(slot, float) else "q" for slot in slots]))
         room = ctypes.create_string_buffer(8 * len(self._format)) if self._format else None
         if self._call(self._given.pack(*slots), room):
-            raise ArithmeticError(f"{self._name}: a division by zero, or no memory")
+            raise ArithmeticError(f"{self._name}: an error of its own, a division by zero, or no memory")
         return None if room is None else self._read(self._result, iter(struct.unpack(self._format, room)))
 
     def _read(self, result: Any, slots: Iterator[Any]) -> Any:
@@ -142,6 +143,14 @@ class Entry:
             self._release(owner)
             return array
         return bool(next(slots)) if result == "?" else next(slots) if result else None
+
+
+def _bring_numba() -> None:
+    """What numba's own code calls, such as products of matrices, to this process."""
+    from numba.core.registry import cpu_target
+    from numba.core.runtime import rtsys
+
+    rtsys.initialize(cpu_target.target_context)
 
 
 def _letters(result: Any) -> Iterator[str]:
@@ -216,9 +225,10 @@ def save(name: str, source: str, code: bytes, about: Mapping[str, Any]) -> None:
         begun = folder / f"{name}.{os.getpid()}"
         begun.write_bytes(hashlib.sha256(name.encode() + content).digest() + content)
         begun.replace(folder / name)
-        for old in folder.glob(f"{name.partition('-')[0]}-*"):
-            if time.time() - old.stat().st_mtime > UNUSED_DAYS * 86400:
-                old.unlink()
+        for old in folder.glob("*-*"):
+            with contextlib.suppress(OSError):  # of another user, or taken away by another process
+                if time.time() - old.stat().st_mtime > UNUSED_DAYS * 86400:
+                    old.unlink()
 
 
 def cache_folder() -> Path:

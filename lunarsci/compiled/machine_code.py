@@ -166,7 +166,7 @@ def _write(context: Any, builder: ir.IRBuilder, kind: Any, value: ir.Value, plac
         return "?"
     if isinstance(kind, types.Integer):
         builder.store(context.cast(builder, value, kind, types.int64), next(places))
-        return "q"
+        return "q" if kind.signed else "Q"  # type: ignore[attr-defined]
     raise TypeError(f"compiled code cannot give {kind} to Python")
 
 
@@ -190,6 +190,10 @@ def _translated(codegen: Any, part: Any, entry: ir.Module) -> tuple[bytes, list[
         if not function.is_declaration and function.name not in exported:
             function.linkage = llvm.Linkage.internal
     outside = {one.name for one in module.functions if one.is_declaration and not one.name.startswith("llvm.")}
+    if foreign := sorted(one for one in outside if one.startswith("NRT_")):
+        raise TypeError(
+            f"{entry.name}: {', '.join(foreign)}, which `_runtime` has not; take no lists or sets that grow"
+        )
     return codegen._tm.emit_object(module), sorted(outside)
 
 
@@ -198,10 +202,11 @@ def _runtime() -> ir.Module:
     module, size, nothing = ir.Module("runtime"), INTEGER, ir.VoidType()
     malloc = ir.Function(module, ir.FunctionType(POINTER, [size]), "malloc")
     free = ir.Function(module, ir.FunctionType(nothing, [POINTER]), "free")
-    plain = ir.Function(module, free.function_type, "NRT_Free")
-    builder = ir.IRBuilder(plain.append_basic_block())
-    builder.call(free, plain.args)
-    builder.ret_void()
+    for name, system in (("NRT_Allocate", malloc), ("NRT_Free", free)):
+        plain = ir.Function(module, system.function_type, name)
+        builder = ir.IRBuilder(plain.append_basic_block())
+        made = builder.call(system, plain.args)
+        builder.ret(made) if system is malloc else builder.ret_void()
     ending = ir.Function(module, free.function_type, "NRT_MemInfo_call_dtor")
     builder = ir.IRBuilder(ending.append_basic_block())
     words = builder.bitcast(ending.args[0], size.as_pointer())
@@ -225,6 +230,9 @@ def _runtime() -> ir.Module:
         for number, value in ((1, size(0)), (2, size(0)), (3, data), (4, making.args[0]), (5, size(0))):
             builder.store(value, builder.gep(words, [size(number)]))
     builder.ret(place)
+    unaligned = ir.Function(module, malloc.function_type, "NRT_MemInfo_alloc")
+    builder = ir.IRBuilder(unaligned.append_basic_block())
+    builder.ret(builder.call(making, [*unaligned.args, ir.IntType(32)(WORD)]))
     return module
 
 

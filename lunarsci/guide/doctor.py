@@ -83,7 +83,7 @@ class HealthReport(Result):
 
 
 def doctor(*, progress: Callable[[int, int], None] = lambda done, total: None) -> HealthReport:
-    """Look at everything. The tests take a few seconds where the code is compiled already, a few minutes else."""
+    """Look at everything. The tests take a few seconds where the code is compiled already, a minute else."""
     tests: Mapping[str, Callable[[], tuple[str, str]]] = {
         "rock": _rock, "minerals": _minerals, "ground": _ground, "soil": _soil, "drive": _drive
     }  # fmt: skip
@@ -114,10 +114,12 @@ def _cache() -> HealthCheck:
     """The folder of compiled code."""
     from lunarsci.compiled.kept import cache_folder, safe_folder
 
-    folder, usable = cache_folder(), safe_folder() is not None and os.access(cache_folder(), os.W_OK)
-    sizes = [path.stat().st_size / 1e6 for path in (folder.glob("*-*") if usable else ())]
-    remedy = "every run compiles anew; set NUMBA_CACHE_DIR to a folder that only you can write"
-    trouble = "" if usable else f"cannot be written to, or others can write there, so that {remedy}"
+    folder, read = cache_folder(), safe_folder() is not None
+    sizes = [path.stat().st_size / 1e6 for path in (folder.glob("*-*") if read else ())]
+    remedy = "is compiled in every run; set NUMBA_CACHE_DIR to a folder that only you can write"
+    trouble = "" if read else f"not to be had, or others can write there: everything {remedy}"
+    if read and not os.access(folder, os.W_OK):
+        trouble = f"cannot be written to: what is not kept there yet {remedy}"
     return HealthCheck("installation", "compiled code", f"{folder}: {len(sizes)} files, {sum(sizes):.0f} MB", trouble)
 
 

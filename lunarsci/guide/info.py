@@ -31,7 +31,7 @@ from lunarsci.io.inputs import (
     read_json,
     text,
 )
-from lunarsci.io.tables import read_csv_table, separator_of
+from lunarsci.io.tables import as_csv, read_csv_table, separator_of
 from lunarsci.names import some_of
 from lunarsci.registry import FORMATS, KINDS, TAKEN_BY, WHEEL
 from lunarsci.regolith.columns import QUANTITIES, of_name
@@ -252,7 +252,8 @@ def kind_of(file: InputFile) -> str:
     if suffix == ".hdr":
         return "cube" if not Path(file.name).with_suffix(".sli").is_file() else "spectra"
     if suffix == ".parquet":
-        return "telemetry"
+        kind = _kind_of_table(file.name, beginning(as_csv(file)), suffix)
+        return kind if kind in CSV_COLUMNS else "telemetry"
     if suffix in (".sli", ".xlsx"):
         return "spectra"
     with warnings.catch_warnings():

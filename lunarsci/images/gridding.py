@@ -276,7 +276,7 @@ def _on_triangles(
     return means, laid / PARTS**2
 
 
-@compiled(nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _lay(numbers, place, values, disparity, jump, total, weight):  # type: ignore[no-untyped-def]
     """Lay both triangles of every four neighbouring pixels that are one surface.
 
@@ -300,7 +300,7 @@ def _lay(numbers, place, values, disparity, jump, total, weight):  # type: ignor
             _triangle(place, values, b, c, d, total, weight)
 
 
-@compiled(nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _triangle(place, values, a, b, c, total, weight):  # type: ignore[no-untyped-def]
     """Lay the triangle of points a, b, c, values linear between them; arguments as of `_lay`."""
     ax, ay, bx, by, cx, cy = place[a, 0], place[a, 1], place[b, 0], place[b, 1], place[c, 0], place[c, 1]

@@ -123,7 +123,7 @@ def refine(
     return refined
 
 
-@compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz", "reassoc", "arcp"})
+@compiled(error_model="numpy", fastmath={"contract", "nsz", "reassoc", "arcp"})
 def _refine_rows(  # type: ignore[no-untyped-def]
     left,
     right,
@@ -190,7 +190,7 @@ def _refine_rows(  # type: ignore[no-untyped-def]
                 offset[v, u] = values[5] if rows else 0.0
 
 
-@compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz", "reassoc", "arcp"})
+@compiled(error_model="numpy", fastmath={"contract", "nsz", "reassoc", "arcp"})
 def _normal_equations(left, right, u, v, half, values, normal, rhs, row, count):  # type: ignore[no-untyped-def]
     """Sum of squares left of the light; negative where the window leaves the right picture.
 
@@ -231,7 +231,7 @@ def _normal_equations(left, right, u, v, half, values, normal, rhs, row, count):
     return total
 
 
-@compiled(nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _solved(normal, rhs, count):  # type: ignore[no-untyped-def]
     """Cholesky in place: the lower triangle of `normal` (6, 6) becomes its factor, `rhs` (6,) the solution; False where
     it has none. The first `count` unknowns alone."""
@@ -257,7 +257,7 @@ def _solved(normal, rhs, count):  # type: ignore[no-untyped-def]
     return True
 
 
-@compiled(nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _first_of_inverse(factor, count):  # type: ignore[no-untyped-def]
     """First diagonal element of the inverse of a matrix of which `factor` is the Cholesky factor, `count` rows."""
     total = 0.0
@@ -271,7 +271,7 @@ def _first_of_inverse(factor, count):  # type: ignore[no-untyped-def]
     return total
 
 
-@compiled(nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _spread(picture, u, v, half):  # type: ignore[no-untyped-def]
     """Sum of squares of the light about its mean in the window about (u, v)."""
     total, square = 0.0, 0.0

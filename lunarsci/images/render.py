@@ -339,7 +339,7 @@ def clear(world: World, points: FloatArray, ways: FloatArray, far: FloatArray) -
     return free
 
 
-@compiled(nogil=True)
+@compiled
 def _look(ways, origin, suns, world, rocks, hapke, seen):  # type: ignore[no-untyped-def]
     """Fill `seen`, a `Seen` of n rays; `rocks` are rows of `World.rocks` that rays may meet, else as `seen_by`."""
     normal = np.empty(3)
@@ -366,14 +366,14 @@ def _look(ways, origin, suns, world, rocks, hapke, seen):  # type: ignore[no-unt
             seen.light[n] += _scattered(facing, max(toward, 1e-3), cosine, tint, hapke)
 
 
-@compiled(nogil=True)
+@compiled
 def _free(points, ways, far, world, free):  # type: ignore[no-untyped-def]
     """Fill `free` (n,) as `clear` says."""
     for n in range(len(points)):
         free[n] = _is_clear(points[n], ways[n], far[n], world)
 
 
-@compiled(nogil=True)
+@compiled
 def _is_clear(point, way, far, world):  # type: ignore[no-untyped-def]
     """Whether a ray from `LIFT_M` over a surface's point (3,) along a unit way (3,) meets nothing up to `far` [m]."""
     start = point + LIFT_M * way
@@ -381,7 +381,7 @@ def _is_clear(point, way, far, world):  # type: ignore[no-untyped-def]
     return _to_ground(start, way, world, far) >= far and _to_rocks(start, way, world.rocks, far)[0] < 0
 
 
-@compiled(nogil=True)
+@compiled
 def _scattered(mu0, mu, cosine, tint, hapke):  # type: ignore[no-untyped-def]
     """Radiance factor: twice that of Lommel and Seeliger, w/4 mu0 / (mu0 + mu), or with Hapke's phase function and H.
 
@@ -401,7 +401,7 @@ def _scattered(mu0, mu, cosine, tint, hapke):  # type: ignore[no-untyped-def]
     return plain * ((1.0 + surge) * scatter + both - 1.0)
 
 
-@compiled(nogil=True)
+@compiled
 def _ground_normal(point, world, normal):  # type: ignore[no-untyped-def]
     """Reflectance of the ground at a point (3,) [m]; fills `normal` (3,), between the nodes' normals, of length 1."""
     place, normals, albedo = world.place, world.normals, world.albedo
@@ -422,7 +422,7 @@ def _ground_normal(point, world, normal):  # type: ignore[no-untyped-def]
     return low * (1 - v) + high * v
 
 
-@compiled(nogil=True)
+@compiled
 def _rock_normal(point, rock, normal):  # type: ignore[no-untyped-def]
     """Fill `normal` (3,), of length 1, of an ellipsoid, a row (8,) of `World.rocks`, at a point (3,) [m] of it."""
     x, y, z = point[0] - rock[0], point[1] - rock[1], point[2] - rock[2]
@@ -436,7 +436,7 @@ def _rock_normal(point, rock, normal):  # type: ignore[no-untyped-def]
         normal[axis] /= length
 
 
-@compiled(nogil=True)
+@compiled
 def _to_rocks(origin, way, rocks, limit):  # type: ignore[no-untyped-def]
     """The first of rocks (n, 8) that a ray meets before `limit` [m], -1 for none, and how far it is [m], else `limit`.
 
@@ -463,7 +463,7 @@ def _to_rocks(origin, way, rocks, limit):  # type: ignore[no-untyped-def]
     return number, best
 
 
-@compiled(nogil=True)
+@compiled
 def _to_ground(origin, way, world, limit):  # type: ignore[no-untyped-def]
     """Distance at which a ray meets the ground's triangles, inf where it does not before `limit`. [m]
 
@@ -514,7 +514,7 @@ def _to_ground(origin, way, world, limit):  # type: ignore[no-untyped-def]
             j >>= 1
 
 
-@compiled(nogil=True)
+@compiled
 def _inside(x, dx, count, start, end):  # type: ignore[no-untyped-def]
     """Start and end of the part of a ray, of those between `start` and `end` [m], that is over 0 to `count` cells.
 
@@ -528,7 +528,7 @@ def _inside(x, dx, count, start, end):  # type: ignore[no-untyped-def]
     return max(start, first), min(end, last)
 
 
-@compiled(nogil=True)
+@compiled
 def _in_cell(z, dz, u, v, du, dv, start, end, heights, i, j):  # type: ignore[no-untyped-def]
     """Distance at which a ray meets one of a cell's two triangles between `start` and `end`; inf for nowhere. [m]
 

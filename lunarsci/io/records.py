@@ -26,6 +26,7 @@ BLOCK_VALUES = 500_000
 STRUCTURE = re.compile(r'[",\r\n]')
 """Signs of a CSV table, for which a text is quoted."""
 _MILLIONTHS = re.compile(rb"(\d)\.?(\d*)e-6(?!\d)")
+"""Numbers that tables have without an exponent, as Arrow writes them, and JSON with one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -287,7 +288,11 @@ def _number_cells(listed: bytes) -> bytes:
 def _texts(column: Any, size: int, text: Callable[[Any], bytes], numbers: Callable[[bytes], bytes]) -> list[bytes]:
     """A column as texts: numbers by orjson, all of them looked over by `numbers`; other values by `text`."""
     if isinstance(column, Codes):
-        return [*map(_texts(column.values, len(column.values), text, numbers).__getitem__, column.codes.tolist())]
+        values, codes = column.values, column.codes
+        if len(values) > len(codes):
+            used, codes = np.unique(codes, return_inverse=True)
+            values = values[used] if isinstance(values, np.ndarray) else [values[code] for code in used]
+        return [*map(_texts(values, len(values), text, numbers).__getitem__, codes.tolist())]
     if isinstance(column, Same | str | None):
         return [text(_at(column, 0))] * size
     if isinstance(column, np.ndarray) and column.ndim == 1 and column.dtype.kind in "biuf":

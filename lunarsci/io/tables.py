@@ -20,7 +20,7 @@ import numpy as np
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, warn
-from lunarsci.io.inputs import BEGINNING, InputFile, InputStream, csv_rows, read_input, text
+from lunarsci.io.inputs import BEGINNING, InputFile, InputStream, csv_rows, open_input, read_input, text
 from lunarsci.io.records import Records, coded
 from lunarsci.provenance import sha256
 
@@ -37,6 +37,9 @@ UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 EXACT_POWER = 22
 """Up to this power of ten a float64 is exact."""
 POWERS = np.array([float(f"1e{power}") for power in range(EXACT_POWER + 1)])
+"""Of ten, up to that."""
+PARQUET = b"PAR1"
+"""How a file of Parquet begins."""
 BLANK = ("nan", "na", "-", "")
 _RARE = ('"', "#", "\r", "\v", "\f", "\x1c", "\x1d", "\x1e")
 ALIKE = 0.72
@@ -44,13 +47,33 @@ ALIKE = 0.72
 
 
 def read_csv_table(source: InputFile | str | Path) -> "pd.DataFrame":
-    """The cells of a CSV table as text; lines that begin with # are left out, blanks around names are dropped.
+    """The cells of a table of CSV, or of Parquet, as text; lines that begin with # are left out, blanks around names
+    are dropped.
 
     Where the header has semicolons and no comma these are between the cells, and a comma within a number is its point.
 
     Raises DataError for a file that cannot be read, rows of another length than the header, and equal column names.
     """
-    return _csv_cells(source if isinstance(source, InputFile) else read_input(str(source)), dtype=str)
+    return _csv_cells(as_csv(source if isinstance(source, InputFile) else read_input(str(source))), dtype=str)
+
+
+def as_csv(file: InputFile) -> InputFile:
+    """A table of Parquet as the CSV that it would be; any other file as it is."""
+    if not file.data.startswith(PARQUET):
+        return file
+    with open_input(file) as stream:
+        return InputFile(file.name, csv_bytes(parquet_tables(stream)))
+
+
+def table_in(folder: Path, name: str) -> Path | None:
+    """The file in a folder that has a table, in whichever of `TABLE_FORMS`; None where there is none.
+
+    Raises DataError where there are two, one of which is of another run.
+    """
+    there = [path for form in TABLE_FORMS if (path := folder / f"{name}.{form}").is_file()]
+    if len(there) > 1:
+        raise DataError(f"{folder}: {' and '.join(path.name for path in there)} are both in it; remove the older one")
+    return there[0] if there else None
 
 
 def _csv_cells(file: InputFile, before: int = 0, *, dtype: type[str] | None) -> "pd.DataFrame":

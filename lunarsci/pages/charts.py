@@ -317,7 +317,7 @@ def _used(limit: Mapping[str, Any], value: float) -> float:
 
 
 def _wheel_states(document: Document) -> Drawn:
-    rows = document.table("states.csv")
+    rows = document.table("states")
     wheels = list(dict.fromkeys(row["wheel"] for row in rows if row.get("wheel")))
     if not wheels or "slip_ratio" not in rows[0] or "distance_m" not in rows[0] or "member" in rows[0]:
         return None

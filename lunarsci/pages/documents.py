@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.io.inputs import InputFile, read_input, read_json, text
+from lunarsci.io.tables import as_csv, table_in
 from lunarsci.provenance import sha256
 from lunarsci.result import Doubt, Result
 
@@ -68,13 +69,14 @@ class Document:
 
     def table(self, name: str) -> list[dict[str, str]]:
         """Rows of a table beside the result, as text; none where it is not there."""
-        if self.folder is None or not (self.folder / name).is_file():
+        path = table_in(self.folder, name) if self.folder is not None else None
+        if path is None:
             return []
-        rows = csv.DictReader(line for line in io.StringIO(text(read_input(self.folder / name))) if line[:1] != "#")
+        rows = csv.DictReader(line for line in io.StringIO(text(as_csv(read_input(path)))) if line[:1] != "#")
         try:
             return [row for row, _ in zip(rows, range(MOST_ROWS), strict=False)]
         except csv.Error as error:
-            raise DataError(f"{self.folder / name}: no CSV table: {error}; is it complete?") from error
+            raise DataError(f"{path}: no CSV table: {error}; is it complete?") from error
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,9 +21,9 @@ MOST_NODES, MOST_DRIVES, MOST_POINTS = 72, 40, 60
 MARGIN_M = 2.5
 """Ground that is shown around the drives. [m]"""
 WAYS = {
-    "twin-predict": ("predicted", "paths.csv"),
-    "twin-plan": ("planned", "path.csv"),
-    "twin-states": ("driven", "motion.csv"),
+    "twin-predict": ("predicted", "paths"),
+    "twin-plan": ("planned", "path"),
+    "twin-states": ("driven", "motion"),
 }
 """By the kind of a result what its way is called, and the table that has it. Planned ways are dashed; of predicted
 ones, many drives, only some are drawn."""

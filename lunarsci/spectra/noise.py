@@ -125,7 +125,7 @@ def deepest_below_hull(x: FloatArray, values: FloatArray) -> FloatArray:
     return deepest
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def _below_hulls(x: Any, values: Any, deepest: Any) -> None:
     rows, channels = values.shape
     hull = np.empty(channels, dtype=np.int64)

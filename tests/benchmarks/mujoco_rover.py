@@ -151,14 +151,14 @@ def fresh_ruts(terrain: Terrain, spacing_m: float = 0.025) -> Ruts:
     return Ruts(float(terrain.x0_m), float(terrain.y0_m), spacing_m, np.zeros(size))
 
 
-@compiled(nogil=True)
+@compiled
 def unit_cross(a, b):
     """Unit vector across two others."""
     c = np.cross(a, b)
     return c / math.sqrt(c @ c)
 
 
-@compiled(nogil=True)
+@compiled
 def ground_below(grid, x, y, soil):
     """Height and gradient below a point, and its soil into `soil` (8); NaN off the map."""
     ny, nx = grid.height.shape
@@ -179,7 +179,7 @@ def ground_below(grid, x, y, soil):
     return height, rise_x / grid.spacing, rise_y / grid.spacing
 
 
-@compiled(nogil=True)
+@compiled
 def rut_below(ruts, x, y, left, width, across):
     """Mean depth of the rut over a wheel's width. [m]"""
     ny, nx = ruts.depth.shape
@@ -196,7 +196,7 @@ def rut_below(ruts, x, y, left, width, across):
     return total / len(across)
 
 
-@compiled(nogil=True)
+@compiled
 def press(ruts, marks, width):
     """Press marks (n, 5) of x, y, leftward unit vector and depth into the ground, across a wheel's width."""
     ny, nx = ruts.depth.shape
@@ -208,7 +208,7 @@ def press(ruts, marks, width):
                 ruts.depth[i, j] = max(ruts.depth[i, j], depth)
 
 
-@compiled(nogil=True)
+@compiled
 def push_of(law, sinkage, rut, v_x, v_y, rim, tyre, soil, nodes, weights):
     """F_N, F_DP, F_L, M_R, and the moments about the normal and the heading. [N, N m]"""
     own = (soil[0], soil[1], soil[2], soil[3], soil[4], soil[5], soil[6], soil[7])
@@ -226,7 +226,7 @@ def push_of(law, sinkage, rut, v_x, v_y, rim, tyre, soil, nodes, weights):
     return f_n, f_dp, f_l, m_r, -tyre[3] * f_l * math.sin(middle), -tyre[3] * f_l * math.cos(middle)
 
 
-@compiled(nogil=True)
+@compiled
 def push_wheels(bodies, place, turn, motion, about, rims, grid, ruts, tyre, law, rule, applied, seen, marks):
     """The wrench of the soil on every wheel into `applied` (bodies, 6), world axes at the wheel centre.
 
@@ -265,7 +265,7 @@ def push_wheels(bodies, place, turn, motion, about, rims, grid, ruts, tyre, law,
         marks[w, 4] = max(total, 0.0)
 
 
-@compiled(nogil=True)
+@compiled
 def steer(angles, bodies, straight, offset, place, turn):
     """Stand every wheel as commanded; that it rolls while it is being steered is left out, as in the twin."""
     for w in range(len(bodies)):

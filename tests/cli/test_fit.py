@@ -59,6 +59,12 @@ def bands(record: dict[str, Any]) -> dict[str, dict[str, Any]]:
     return {band["name"]: band for band in record["bands"]}
 
 
+def test_a_quick_look_is_one_descent(run, rock: Path) -> None:
+    quick, found = (json.loads(run("spectra", "fit", rock, "--starts", n, "--json").out) for n in (0, 4))
+    assert '"starts": 0' in json.dumps(quick["provenance"])
+    assert quick["result"]["spectra"][0]["bic"] > found["result"]["spectra"][0]["bic"] - 0.1
+
+
 def test_constraints_hold_and_are_in_the_provenance(run, rock: Path) -> None:
     done = run(
         "spectra", "fit", rock, "--assemblage", "OPX-CPX", "--fix", "opx_1_center_nm=920", "--bound",

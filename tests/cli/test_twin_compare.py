@@ -13,6 +13,8 @@ import pandas as pd
 import pytest
 from lunarsci.cli import main
 
+import lunarsci
+from lunarsci.errors import RequestError
 from lunarsci.io.inputs import read_input
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief
 
@@ -79,9 +81,21 @@ def test_tables_in_parquet_are_compared_as_those_in_csv(run, drive: Drive, tmp_p
     one, other = (json.loads(run(*words).out)["result"] for words in compare)
     assert one["verdict"] == other["verdict"] == "trusted"
     assert one["end"]["p"] == pytest.approx(other["end"]["p"], rel=1e-6)
+    starts = ("twin", "plan", "--target", "3,0.5", "--json", "--start")
+    lengths = [json.loads(run(*starts, place).out)["result"]["path"]["length_m"] for place in (drive.folder, folder)]
+    assert lengths[0] == pytest.approx(lengths[1], abs=1e-6) and lengths[0] > 1
+    kinds = [
+        json.loads(run("info", folder / f"{name}.parquet", "--json").out)["result"] for name in ("states", "paths")
+    ]
+    assert "telemetry" not in json.dumps(kinds)
+    shutil.copy(drive.folder / "paths.csv", folder)
+    assert "paths.csv and paths.parquet are both in it" in run(*compare[1]).err[-1]
+    (folder / "paths.csv").unlink()
     (folder / "states.parquet").write_bytes(b"PAR1")
     assert "states.parquet: not as it was written" in run(*compare[1]).err[-1]
-    assert run(*predict, "--tables", "xlsx").code == 2
+    assert run(*predict, "--tables", "xlsx").code == run(*predict, "--tables", "parquet").code == 2
+    with pytest.raises(RequestError, match="give csv or parquet"):
+        lunarsci.predict(str(drive.plan)).files(tables="xlsx")
 
 
 def test_a_drive_as_predicted_is_trusted(run, drive: Drive, tmp_path: Path) -> None:

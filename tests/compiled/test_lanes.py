@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from lunarsci.compiled import LANE_OPTIONS, compiled, lanes
+from lunarsci.compiled.formulas import formula
 from lunarsci.compiled.instructions import offer_all
 from lunarsci.compiled.lanes import (
     aligned,
@@ -119,3 +120,18 @@ def _negligible(values: Any) -> float:
 def test_what_is_negligible_is_lost_beside_1(kind: type[np.floating[Any]]) -> None:
     share = np.exp(-_negligible(aligned(1, kind=kind)))
     assert np.finfo(kind).eps / 2 < share < 2 * np.finfo(kind).eps
+
+
+@formula
+def _second(table: Any) -> Any:
+    return table[1] * 2.0
+
+
+@compiled
+def _twice_the_second(table: Any) -> float:
+    return _second(table)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_a_plain_number_of_a_table_is_read(kind: type[np.floating[Any]]) -> None:
+    assert _twice_the_second(np.array([1.0, 0.75], kind)) == 1.5

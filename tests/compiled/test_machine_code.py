@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from lunarsci.compiled import compiled, machine_code
-from lunarsci.compiled.kept import _content, _imported, _tell, sources, sources_digest
+from lunarsci.compiled.kept import DIGEST_BYTES, _content, _imported, _tell, sources, sources_digest
 from lunarsci.errors import LunarSciWarning
 
 MODULE = """
@@ -124,6 +124,48 @@ def test_a_division_by_zero_is_an_error_of_python() -> None:
         share(1.0, 0.0)
 
 
+@compiled
+def refusing(n: int) -> int:
+    if n > 0:
+        raise ValueError(f"{n} is above 0")
+    return n
+
+
+def test_errors_with_texts_need_nothing_of_numba(
+    made: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    again = compiled(refusing.__wrapped__)
+    with pytest.raises(ArithmeticError, match="an error of its own"):
+        again(1)
+    assert again(-1) == -1 and len(made) == 1
+    [kept] = tmp_path.rglob("refusing-*")
+    about = kept.read_bytes()[DIGEST_BYTES:].partition(b"\n")[0]
+    assert b"symbols" in about and b"NRT_" not in about
+
+
+@compiled
+def grown(n: int) -> int:
+    numbers = [0]
+    for k in range(n):
+        numbers.append(k)
+    return len(numbers)
+
+
+def test_lists_that_grow_are_refused_and_end_no_process() -> None:
+    with pytest.raises(TypeError, match="that grow"):
+        grown(100)
+
+
+@compiled
+def largest(values: np.ndarray) -> np.uint64:
+    return values.max()
+
+
+def test_whole_numbers_without_a_sign_come_back_whole() -> None:
+    assert largest(np.array([3, 2**64 - 1], dtype=np.uint64)) == 2**64 - 1
+
+
 def test_what_no_machine_code_takes_is_refused() -> None:
     with pytest.raises(TypeError, match="complex128"):
         share(1j, 2.0)
@@ -203,6 +245,24 @@ def test_sources_that_changed_while_a_process_runs_leave_what_is_kept_alone(
     os.utime(tmp_path / "small.py")
     assert load() and load(2)
     assert kept == {path: path.read_bytes() for path in (tmp_path / "cache").rglob("twice-*")}
+
+
+def test_sources_that_changed_before_the_first_call_are_not_kept_for_others(tmp_path: Path) -> None:
+    """The process has what the file said when it was imported."""
+    file = tmp_path / "small.py"
+    line = "import small, time; {}; print(small.twice(1.5))"
+    change = f"time.sleep(0.05); open(small.__file__, 'w').write({MODULE.replace('2.0', '3.0')!r})"
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
+    file.write_text(MODULE)
+    os.utime(file, (0, 0))
+
+    def printed(between: str) -> str:
+        program = [sys.executable, "-c", line.format(between)]
+        return subprocess.run(program, cwd=tmp_path, env=environment, capture_output=True, check=True, text=True).stdout
+
+    assert printed(change).strip() == "3.0"
+    os.utime(file, (0, 0))
+    assert printed("pass").strip() == "4.5"
 
 
 def test_a_disk_that_takes_nothing_is_no_failure(load: Callable[..., bool], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,7 +3,10 @@
 import ast
 import io
 import json
+import os
 import re
+import subprocess
+import sys
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -377,8 +380,28 @@ def test_a_year_and_a_doi_are_found_where_they_are() -> None:
     assert (found.authors, found.year, found.doi) == ("", "2004", "10.1016/j.solener.2003.08.039")
 
 
+@pytest.mark.study
+def test_after_a_doctor_the_main_commands_compile_nothing(tmp_path: Path) -> None:
+    grid = np.linspace(450.0, 2400.0, 120)
+    rock = 0.2 * np.exp(-0.3 * np.exp(-(((grid - 950.0) / 90.0) ** 2)))
+    lines = [f"{wavelength:.1f},{value:.5f},0.001" for wavelength, value in zip(grid, rock, strict=True)]
+    (tmp_path / "rock.csv").write_text("\n".join(["wavelength_nm,rock,rock_sigma", *lines]))
+    commands = ("doctor", "spectra bands rock.csv", "spectra fit rock.csv", "regolith forces --sinkage 0.01",
+                "regolith identify lunarsci-demo/wheel_states.csv", "twin predict --members 16")  # fmt: skip
+    (tmp_path / "lunarsci-demo").mkdir()
+    (tmp_path / "lunarsci-demo" / "wheel_states.csv").write_text(template("states").text)
+    kept = []
+    for command in commands:
+        program = [sys.executable, "-m", "lunarsci", *command.split(), "-q"]
+        environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "code")}
+        done = subprocess.run(program, cwd=tmp_path, env=environment, check=False)
+        assert done.returncode in (0, 3)
+        kept.append({path.name for path in (tmp_path / "code").rglob("*-*")})
+    assert len(kept[0]) > 10 and all(names == kept[0] for names in kept)
+
+
 def test_a_doctor_says_what_is_off(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The three tests pass on this code; one that is off, one that fails and a folder without rights are said."""
+    """The tests pass on this code; one that is off, one that fails and a folder without rights are said."""
     assert doctor._ground()[1] == "" and "32.0" in doctor._ground()[0]
     monkeypatch.setattr(doctor, "LOAD_N", 35.0)
     monkeypatch.setattr(doctor, "_rock", lambda: ("fine", ""))

@@ -259,6 +259,13 @@ def test_scatter_within_the_errors_is_no_contradiction() -> None:
     assert close is not None and not close.agree
 
 
+@pytest.mark.parametrize(("step", "trend"), [(0.3, "rises"), (-0.3, "falls"), (1e-12, "")])
+def test_a_trend_within_the_errors_is_seen_and_one_of_the_last_digits_is_none(step: float, trend: str) -> None:
+    values = 30 + step * np.arange(20.0)
+    ours = agreement("friction_angle_deg", [Estimate(v, 3.0) for v in values], np.arange(20.0))
+    assert ours is not None and ours.agree and ours.trend == trend
+
+
 WHEELS = ("FL", "FR", "ML", "MR", "RL", "RR")
 
 

@@ -220,7 +220,7 @@ class Cube:
         return reflectance, flags
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def _decode(
     raw: FloatArray, channels: IndexArray, gain: FloatArray, offset: FloatArray, bad: BoolArray, ignored: FloatArray,
     saturated: float, reflectance: FloatArray, flags: npt.NDArray[np.uint8],

@@ -133,7 +133,7 @@ def _trajectory(
     return 1.0
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def _move_all(
     target: Any, beta: float, factor: Any, tuning: Any, generator: Any, particles: Any, energies: Any, space: Any
 ) -> None:
@@ -230,7 +230,7 @@ def _workspace(size: int, channels: int) -> Any:
     return np.empty((size, channels)), np.empty(channels), np.empty(channels)
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def _energies_of_all(target: Any, particles: Any, space: Any, energies: Any) -> None:
     """`energies_of` of every particle, (n, 3)."""
     for i in range(particles.shape[0]):

@@ -44,8 +44,6 @@ BELIEF = 1.3
 """Times what a step promises is what a descent may still gain; where that stays above its bar it is given up."""
 LEAST_DAMPING, MOST_DAMPING = 1e-9, 1e12
 """Range of Marquardt's damping; a descent that reaches the upper end is over."""
-SINGLE_DAMPING = 1e-5
-"""Lower end for a descent in singles, whose rounding a system of equations multiplies by less than this."""
 GENTLE_DAMPING = 1e-2
 """Below this a step that promises nothing means that there is nothing to gain."""
 
@@ -111,7 +109,6 @@ class DescentOptions(NamedTuple):
     max_iterations: int
     ahead: bool = False
     slack: float = math.inf
-    least_damping: float = LEAST_DAMPING
 
 
 class Channels(NamedTuple):
@@ -298,7 +295,7 @@ def _damp_more(state: Any, lane: int) -> None:
 
 
 @uncounted
-def _judge(state: Any, lane: int, chi2: float, phase: Any, tolerance: float, least: float) -> int:
+def _judge(state: Any, lane: int, chi2: float, phase: Any, tolerance: float) -> int:
     """Take a trial of this chi-square or refuse it, and change the damping accordingly; a status, or `GOES_ON`."""
     share = state[TRIAL_SHARE, lane]
     if phase[lane] == NEW:
@@ -315,7 +312,7 @@ def _judge(state: Any, lane: int, chi2: float, phase: Any, tolerance: float, lea
             _damp_more(state, lane)
             return GOES_ON
         shrink = max(0.1, 1.0 - (2.0 * gain / predicted - 1.0) ** 3)
-        state[DAMPING, lane] = max(state[DAMPING, lane] * shrink, least)
+        state[DAMPING, lane] = max(state[DAMPING, lane] * shrink, LEAST_DAMPING)
         state[INCREASE, lane] = 4.0
     state[TAKEN, lane], state[CHI2, lane], state[SHARE, lane] = 1.0, chi2, share
     return GOES_ON
@@ -331,7 +328,7 @@ def _judge_all(counts: Any, rows: Any, options: Any, degrees: int, space: Any, j
         if jobs.phase[lane] == EMPTY:
             continue
         chi2 = sums[at_chi2, lane] if sums[last, lane] > 0.0 else math.inf
-        jobs.end[lane] = _judge(state, lane, chi2, jobs.phase, options.tolerance, options.least_damping)
+        jobs.end[lane] = _judge(state, lane, chi2, jobs.phase, options.tolerance)
         if state[TAKEN, lane] > 0.0:
             channels = counts[rows[jobs.job[lane]]]
             state[SCALE, lane] = channels / chi2 if jobs.tempered[lane] and chi2 > channels else 1.0
@@ -560,10 +557,12 @@ def correct(
     wanted = linearised(fine, problem, points, spaces[0])
     weight = np.where(coarse.root_weight > 0, coarse.root_weight, np.inf)
     sums = added(fine.root_weight * wanted.residuals, together)
-    coarse.data[:] += (sums / weight - linearised(coarse, free, points, spaces[1]).residuals) / weight
+    coarse.data[:] += np.nan_to_num(sums / weight - linearised(coarse, free, points, spaces[1]).residuals) / weight
     here = linearised(coarse, free, points, spaces[1], curved=True)
     covariance = np.nan_to_num(inverses(here.curvatures, problem, spaces[0]))
-    step = np.einsum("rpq,rq->rp", covariance, wanted.slopes - here.slopes)
+    gap = wanted.slopes - here.slopes
+    gap[np.isnan(sums).any(axis=1)] = 0.0  # the continuum is not above 0 in some fine channel
+    step = np.einsum("rpq,rq->rp", covariance, gap)
     there = linearised(coarse, free, points + step, spaces[1])
     coarse.data[:] += np.nan_to_num(here.residuals - there.residuals) / weight
 
@@ -675,6 +674,8 @@ class Multistart:
         deeper = (hops[:, 0] - self.problem.degrees) % 3 == 2
         rows = np.flatnonzero(np.isfinite(self.covariance[:, 0, 0]) & np.isfinite(self.floor))
         for _ in range(MAX_ROUNDS):
+            if not (len(hops) and rows.size):
+                return
             patterned = self._patterned(rows) > PATTERN_CHI2
             better = np.union1d(self._hopped(rows[patterned], hops), self._hopped(rows[~patterned], hops[deeper]))
             near = rows[~patterned & np.isfinite(self.competing[rows])]
@@ -719,7 +720,7 @@ class Multistart:
     ) -> tuple[FloatArray, FloatArray]:
         """Where points lead to on the coarse spectrum, in singles, and the outcomes."""
         damping = FIRST_DAMPING if tempering else LATER_DAMPING
-        options = DescentOptions(tempering, damping, tolerance, self.max_iterations, least_damping=SINGLE_DAMPING)
+        options = DescentOptions(tempering, damping, tolerance, self.max_iterations)
         ends, outcomes = np.array(points), np.empty((len(rows), 4))
         descend(
             self.coarse, self.counts[1], self.coarse_problem, options, rows, ends, outcomes, self.coarse_space,

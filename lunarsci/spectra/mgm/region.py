@@ -34,7 +34,6 @@ from lunarsci.spectra.mgm.levenberg_marquardt import (
     CONVERGED,
     FIRST_DAMPING,
     LATER_DAMPING,
-    SINGLE_DAMPING,
     Channels,
     DescentOptions,
     FitProblem,
@@ -112,7 +111,7 @@ def _is_another(kind: int, kind_here: int) -> bool:
     return bool(apart != 0 and not (lacking == apart and apart & (apart - 1) != 0))
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def askers(
     grid: Any, tile: Any, place: Any, keys: Any, summary: Any, changed: Any, reach: int, most: int
 ) -> Any:  # fmt: skip
@@ -153,7 +152,7 @@ def askers(
     return rows[:count_all], lenders[:count_all]
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def likest_of(rows: Any, solved: Any, tile: Any, place: Any, data: Any, root: Any, most: int) -> Any:
     """For each of `rows`, of the `most` nearest of `solved` in its tile, the likest; tiles ascend in `solved`.
 
@@ -210,7 +209,7 @@ NEARLY, FINALLY = 1e-2, 3e-4
 """Decrease to be expected at which a descent on the bands of a kind ends, and one on all bands; that step is taken."""
 SLACK = 5.0
 """How much more than its step promises a descent may still gain, in chi-square."""
-ROUGHLY = DescentOptions(False, FIRST_DAMPING, NEARLY, MAX_ITERATIONS, ahead=True, least_damping=SINGLE_DAMPING)
+ROUGHLY = DescentOptions(False, FIRST_DAMPING, NEARLY, MAX_ITERATIONS, ahead=True)
 """How to descend in singles, before a minimum is finished in doubles."""
 WORTH = 0.01
 """By how much another minimum must be lower to be taken, in chi-square: that of a tenth of a standard error;

@@ -140,8 +140,9 @@ def _values(column: Any, name: str, file: str) -> FloatArray:
 
 def _wavelength(column: Column, unit: Any, file: str) -> Column:
     """A column with its values in nm or um. Raises DataError for a unit that is no wavelength."""
-    if unit is None or unit in ("nm", "um"):
-        return replace(column, unit=unit)
+    ours = next((one for one in ("nm", "um") if unit == one), None)
+    if unit is None or ours:
+        return replace(column, unit=ours)
     if not _is_spectral(unit):
         name = next((text for text, ours in _USUAL.items() if ours == unit), str(unit))
         raise DataError(f"{file}: column {column.label} has the unit '{name}', which is no wavelength; use nm or um")
@@ -160,6 +161,8 @@ def _reflectance(column: Column, unit: Any) -> Column:
     return Column(column.name, column.values * unit.to(""), column.position, "fraction", str(unit))
 
 
+_ECSV = re.compile(r"# %ECSV \d+\.\d+\n# ---\n(?:(?!.*!!omap)#.*\n|# meta: !!omap\n)*(?!#)")
+"""The header of a table whose metadata have no order but that of their uppermost names."""
 _COMMA = re.compile(r"^# delimiter: *['\"]?,", re.MULTILINE)
 
 
@@ -177,7 +180,8 @@ def read_ecsv(source: InputFile) -> SpectrumTable:
 
 
 def _usual_columns(text: str) -> tuple[FloatArray, list[str], list[str | None], dict[str, Any]] | None:
-    """Columns, (n, rows), names, units and header of an ECSV table of plain numbers in units of `_USUAL`.
+    """Columns, (n, rows), names, units and header of an ECSV table of doubles in units of `_USUAL`, none missing
+    between blanks.
 
     None for any other, and where something is wrong: astropy reads it, or says what.
     """
@@ -191,8 +195,9 @@ def _usual_columns(text: str) -> tuple[FloatArray, list[str], list[str | None], 
         units = [_USUAL[one["unit"]] if "unit" in one else None for one in about["datatype"]]
         meta, separator = dict(about.get("meta", ())), about.get("delimiter", " ")
         columns = np.array([plain_numbers(line, separator) for line in lines[count + 1 :]], float).T
-        plainly = all(re.fullmatch(r"u?int\d+|float\d+", kind) for kind in kinds) and "subtype" not in text
-        usual = plainly and lines[count].split(separator) == names and len(columns) == len(names)
+        plainly = {*kinds} == {"float64"} and "subtype" not in text and _ECSV.match(text) is not None
+        whole = separator == "," or (separator == " " and not np.isnan(columns).any())
+        usual = plainly and whole and lines[count].split(separator) == names and len(columns) == len(names)
     except (yaml.YAMLError, LookupError, ValueError, TypeError, AttributeError):
         return None
     return (columns, names, units, meta) if usual and "__serialized_columns__" not in meta else None

@@ -14,7 +14,7 @@ from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.io.documents import json_document
 from lunarsci.io.inputs import InputFile, read_input, text
-from lunarsci.io.tables import TABLE_FORMS
+from lunarsci.io.tables import as_csv, table_in
 from lunarsci.provenance import sha256
 from lunarsci.regolith.physics_discrepancy import SHARED, PhysicsDiscrepancy
 from lunarsci.twin.assimilation.residuals import (
@@ -161,6 +161,8 @@ def read_forecast(folder: str | Path) -> tuple[Forecast, dict[str, str]]:
     Raises DataError for a folder without `prediction.json`, one of another version, and tables that are missing or not
     as they were written.
     """
+    import pandas as pd
+
     place = Path(folder)
     if not (place / FILE).is_file():
         raise DataError(f"{folder}: no {FILE} in it; name a folder of `lunarsci twin predict -o`")
@@ -168,7 +170,8 @@ def read_forecast(folder: str | Path) -> tuple[Forecast, dict[str, str]]:
     document = _document(source)
     files = {name: _table_file(place, name, document) for name in TABLES}
     try:
-        result = _forecast(str(folder), document, *map(_table, files.values()))
+        tables = (pd.read_csv(io.BytesIO(as_csv(file).data)) for file in files.values())
+        result = _forecast(str(folder), document, *tables)
     except (KeyError, TypeError, IndexError, ValueError, ParameterError) as error:
         if isinstance(error, DataError):
             raise
@@ -188,21 +191,11 @@ def _document(source: InputFile) -> Any:
 
 
 def _table_file(place: Path, kind: str, document: Any) -> InputFile:
+    file = read_input(str(table_in(place, kind) or place / f"{kind}.csv"))
     hashes = document.get("tables")
-    known = hashes if isinstance(hashes, dict) else {}
-    names = [f"{kind}.{form}" for form in TABLE_FORMS]
-    name = next((one for one in names if one in known), names[0])
-    file = read_input(str(place / name))
-    if known.get(name) != file.sha256:
+    if not isinstance(hashes, dict) or hashes.get(Path(file.name).name) != file.sha256:
         raise DataError(f"{file.name}: not as it was written with {FILE} (cut off, changed, or of another); {AGAIN}")
     return file
-
-
-def _table(file: InputFile) -> "pd.DataFrame":
-    import pandas as pd
-
-    read = pd.read_parquet if file.name.endswith(".parquet") else pd.read_csv
-    return read(io.BytesIO(file.data))
 
 
 def _forecast(origin: str, document: Any, states: "pd.DataFrame", paths: "pd.DataFrame") -> Forecast:

@@ -697,7 +697,7 @@ def _step(height: FloatArray, plane: int, wheel: int) -> FloatArray:
     return step
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def _ranges(height: Any, along: Any, across: Any, half: int, ranges: Any) -> None:
     """Range of height less a slope, in (2 half + 1)^2 nodes about each node that has them all. (ny, nx)"""
     ny, nx = height.shape

@@ -265,7 +265,7 @@ def triangle_surface(nodes: Any, a: Any, b: Any) -> Any:
     return near + a * x + b * y, x, y
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def height_of(grid: Any, lane: Any, i: int, j: int) -> Any:
     """Height of node [i, j] of a `Grid` on the ground of rover `lane`, or on the likely one where that is None. [m]"""
     height = grid.height[i, j]
@@ -281,7 +281,7 @@ def height_of(grid: Any, lane: Any, i: int, j: int) -> Any:
     return height + (1.0 - share) * fine + share * coarse
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def read_heights(grid: Any, row: int, column: int, result: Any) -> None:
     """Heights of the ground of the first rover, from node [row, column] of a `Grid` on, into `result` (k, m). [m]"""
     for i in range(result.shape[0]):
@@ -289,7 +289,7 @@ def read_heights(grid: Any, row: int, column: int, result: Any) -> None:
             result[i, j] = height_of(grid, 0, row + i, column + j)
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def nodes_about(grid: Any, i: int, j: int, nodes: Any, lane: Any = None) -> None:
     """Heights of the 4 x 4 nodes about a cell of a `Grid`, row by row, into `nodes` (16,). [m]
 
@@ -313,7 +313,7 @@ def nodes_about(grid: Any, i: int, j: int, nodes: Any, lane: Any = None) -> None
             nodes[m + 12] = 2.0 * nodes[m + 8] - nodes[m + 4]
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def read_surface(grid: Any, x: Any, y: Any, result: Any) -> None:
     """Height [m] and gradient [-] of a `Grid` below points x, y (n,) [m], into `result` (n, 3); NaN outside the map."""
     (ny, nx), nodes = grid.height.shape, np.empty(16)
@@ -331,7 +331,7 @@ def read_surface(grid: Any, x: Any, y: Any, result: Any) -> None:
         result[k, 0], result[k, 1], result[k, 2] = height, rise_x / grid.spacing, rise_y / grid.spacing
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def lay_soil(grid: Any, override: Any, wheel: Any) -> None:
     """Soil below a wheel of every lane: that of `override` where it is not NaN, else that of the `Grid`'s first node.
 
@@ -360,7 +360,7 @@ def forget_cells(grid: Any, wheel: Any, lane: Any) -> None:
     rows.cell = (column, row, choose((a >= 0.0) & (a < 1.0) & (b >= 0.0) & (b < 1.0), known, 0.0), odd)
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def find_cell(grid: Any, wheel: Any, code: Any, lane: int) -> None:
     """The cell of a `Grid` below a wheel of a lane that drives, with its nodes; arguments as of `read_ground`."""
     (ny, nx), here = grid.height.shape, wheel[CELL * GROUP + lane :]
@@ -391,7 +391,7 @@ def lay_ground(grid: Any, wheel: Any, triangles: Any, lane: Any) -> None:
     rows.cell = (*rows.cell[:3], choose(known & ~fine, 1.0, 0.0))
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def read_ground(grid: Any, override: Any, wheel: Any, code: Any) -> None:
     """Height, gradient and soil of a `Grid` below a wheel, of every lane; who left the map, met a hole or a cliff.
 
@@ -420,7 +420,7 @@ def read_ground(grid: Any, override: Any, wheel: Any, code: Any) -> None:
             read_soil(grid, override, wheel, lane)
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def note_ground(ground: Any, code: Any, lane: int) -> None:
     """Note a hole, which is level, or a cliff in the `ground` of a lane, whose numbers are GROUP apart."""
     if abs(ground[0]) + abs(ground[GROUP]) + abs(ground[2 * GROUP]) < np.inf:
@@ -430,7 +430,7 @@ def note_ground(ground: Any, code: Any, lane: int) -> None:
         ground[0], ground[GROUP], ground[2 * GROUP] = 0.0, 0.0, 0.0
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def read_soil(grid: Any, override: Any, wheel: Any, lane: int) -> None:
     """Soil below a wheel of a lane that has a cell, but for what `override` says; arguments as of `read_ground`."""
     here = wheel[CELL * GROUP + lane :]

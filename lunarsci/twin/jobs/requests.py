@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from lunarsci.errors import RequestError
 from lunarsci.heights import HeightUnit
+from lunarsci.io.tables import table_in
 from lunarsci.options import check_intervals, refuse_where
 from lunarsci.ranges import CHANCE, POSITIVE, SHARE, refuse
 
@@ -250,12 +251,12 @@ class PlanRequest(GroundRequest):
             return ()
         if not (folder := Path(self.start)).is_dir():
             return (self.start,)
-        table = next((name for name in ("motion.csv", "paths.csv") if (folder / name).is_file()), None)
+        table = table_in(folder, "motion") or table_in(folder, "paths")
         if table is None:
             raise RequestError(
                 f"`start` {self.start}: no motion.csv or paths.csv in it; give a folder of `twin states`"
             )
-        return (str(folder / table),)
+        return (str(table),)
 
     def input_files(self) -> tuple[str, ...]:
         limits = () if self.limits is None else (self.limits,)

@@ -22,7 +22,7 @@ _CLEARANCES: WeakKeyDictionary[Prediction, tuple[FloatArray, FloatArray]] = Weak
 """What `clearance` has found, as long as the predictions are there."""
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def belly_plane(pose: Any, belly: float, x0: float, y0: float, spacing: float) -> Any:
     """Column, row [nodes] and height [m] of a point (x, y) of the belly plane: each a x + b y + c, as (a, b, c).
 
@@ -37,7 +37,7 @@ def belly_plane(pose: Any, belly: float, x0: float, y0: float, spacing: float) -
     return column, row, (-sp, cp * sr, pose[2] + cp * cr * belly)
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def above_edges(height: Any, body: Any, plane: Any, parts: Any) -> Any:
     """Least height of the belly's edges above the ground [m], places without known ground, and places.
 
@@ -72,7 +72,7 @@ def above_edges(height: Any, body: Any, plane: Any, parts: Any) -> Any:
     return least, unknown, 2 * (parts[0] + parts[1])
 
 
-@compiled(nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@compiled(error_model="numpy")  # type: ignore[untyped-decorator]
 def between(start: float, step: float, low: float, high: float) -> Any:
     """The first and the last number j for which start + step j lies from `low` to `high`; none where first > last."""
     if step == 0.0:
@@ -81,7 +81,7 @@ def between(start: float, step: float, low: float, high: float) -> Any:
     return min(one, other), max(one, other)
 
 
-@compiled(nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@compiled(error_model="numpy")  # type: ignore[untyped-decorator]
 def above_nodes(height: Any, body: Any, plane: Any) -> Any:
     """Least height of the belly above the nodes below it [m], nodes without known height, and nodes.
 

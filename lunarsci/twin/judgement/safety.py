@@ -270,7 +270,7 @@ def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
     reasons += [_crossed(one, prediction.members) for one in near if one.margin_m < 0]
     states = validity(prediction)
     touches = False
-    if any(one.quantity == "clearance_m" and (values < 0).any() for one, values in limits):
+    if any(one.quantity == "clearance_m" for one in judged):
         least, unknown = clearance(prediction)
         touches, reasons = bool((least[prediction.reached] < 0).any()), reasons + _over_unknown(prediction, unknown)
     reasons += _beyond_model(states)

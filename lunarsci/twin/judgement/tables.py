@@ -38,7 +38,7 @@ PROFILED = {
 SHARES = (5, 50, 95, 0, 100)
 """Of the members, in the order of a profile's columns. [%]"""
 PIECE = 32
-"""Members of a piece of a table: some megabytes."""
+"""Members of a piece of a table: some megabytes; assumed."""
 ALL = "all"
 """In the column `wheel` of a profile: all wheels together."""
 QUANTITIES = (

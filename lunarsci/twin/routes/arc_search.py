@@ -108,7 +108,7 @@ def _real(border: IntArray, whole: tuple[int, ...], rows: slice, columns: slice)
     return np.asarray(in_box | ~in_map)
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def drive_arc(
     window: Any, discs: Any, pose: Any, length: float, curvature: float, step: float, need: float, wanted: float,
     stop: bool,
@@ -172,7 +172,7 @@ def drive_arc(
     return cost, shortfall, length
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def drive_arcs(
     window: Any, discs: Any, poses: Any, lengths: Any, curvatures: Any, step: float, need: float, wanted: float
 ) -> Any:
@@ -187,7 +187,7 @@ def drive_arcs(
     return result
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def drive_course(
     window: Any, discs: Any, start: Any, arcs: Any, step: float, need: float, wanted: float
 ) -> tuple[float, float]:

@@ -225,7 +225,7 @@ def with_ruts(work: Work, grid: RutGrid) -> Work:
     return work._replace(ruts=np.zeros((GROUP, *grid.shape, 2)), frame=grid.frame.copy())
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def depth_at(ruts: Any, lane: int, column: float, row: float) -> tuple[float, float]:
     """How deep the ground was pressed at a place between nodes, and how deep it is still; 0 beyond them. [m]
 
@@ -244,7 +244,7 @@ def depth_at(ruts: Any, lane: int, column: float, row: float) -> tuple[float, fl
     )
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def still_deep(pressed: float, stiffness: float, exponent: float) -> float:
     """Depth of a rut when the wheel has gone, of how deep it was `pressed`, on soil of that K_s and n0. [m]"""
     if not pressed > SHALLOWEST:
@@ -253,7 +253,7 @@ def still_deep(pressed: float, stiffness: float, exponent: float) -> float:
     return float(pressed - pressed * load / (load + RISE_N_M4 * pressed * pressed))
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def read_ruts(work: Any, w: int) -> None:
     """Lower the ground of wheel `w` by what is left of the ruts below it, looked up anew where `frame` says so."""
     frame, wheel = work.frame, work.wheels[w]
@@ -272,7 +272,7 @@ def read_ruts(work: Any, w: int) -> None:
             wheel[GROUND * GROUP + lane] -= left * math.sqrt(1.0 + slope_x**2 + slope_y**2)
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def press_ruts(work: Any, width: float) -> None:
     """Leave the ruts of all wheels that roll, as wide [m], two spacings long, with ends that run out over another."""
     frame = work.frame
@@ -296,7 +296,7 @@ def press_ruts(work: Any, width: float) -> None:
             press(work.ruts, lane, column, row, across, up, wide, depth, still)
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def press(
     ruts: Any, lane: int, column: float, row: float, across: float, up: float, wide: float, depth: float, still: float
 ) -> None:
@@ -441,7 +441,7 @@ def add_rows(work: Any, w: Any, count: Any, rover: Any, side: Any, time_step_s: 
     system.matrix, system.right = tuple(matrix), tuple(right)
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def any_stands(wheels: Any, w: int) -> bool:
     """Whether a rim of the group stands still."""
     slowest = abs(wheels[w, RIM_ROW])

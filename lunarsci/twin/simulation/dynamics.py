@@ -196,7 +196,7 @@ def assemble(rover: Any, tyre: Any, grid: Any, override: Any, time_step_s: float
     note_outcomes(work.body, work.code)
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def note_outcomes(body: Any, code: Any) -> None:
     """Take over what the step found of members that were still FINISHED."""
     for lane in range(GROUP):
@@ -314,7 +314,7 @@ def gained(work: Any, before: Any, tyre: Any, weight: Any, time_step_s: Any, beg
     body.outcome = choose(too_much, DIVERGED, body.outcome)
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def check_sense(work: Any, rover: Any, tyre: Any, time_step_s: float, begins: bool) -> None:
     """Note in `work.code` whose loads or energy no drive has, and whose steps miss the soil's law.
 

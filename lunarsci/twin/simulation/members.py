@@ -69,7 +69,7 @@ FINER = (4, 16)
 """How many times shorter the steps are that are tried in turn where a soil is not held by those asked for."""
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def take_commands(work: Any, steering: Any, speed: Any, step: int) -> None:
     """Steering angle and rim speed of every wheel in a step; (rovers, steps, wheels), one rover stands for all.
 
@@ -92,7 +92,7 @@ def roll_on(work: Work, ahead: float, left: float, turn: float) -> None:
     BODY.view(work.body, "spin")[:] = turn * axes[:, 2]
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def record(work: Any, lane: int, tyre: Any, path: Any, states: Any) -> None:
     """Pose (x, y, z, roll, pitch, yaw [m, rad]) and wheel states of one rover at this instant, one row of the results.
 
@@ -133,7 +133,7 @@ def begin(
     roll_on(work, *motion)
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def drive(
     rover: Any,
     tyre: Any,

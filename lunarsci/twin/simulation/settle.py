@@ -177,7 +177,7 @@ def clear_share(rest: Any, lane: Any) -> None:
     REST.of(rest, lane).share = (0.0,) * 9
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def lean_on(work: Any, rest: Any, tolerance: float) -> None:
     """Let the ground hold what `left` says has to hold the rovers: along its surface under every wheel.
 
@@ -208,7 +208,7 @@ def judge(work: Any, lane: Any) -> None:
     body.outcome = choose(is_upright(body), body.outcome, UNSETTLED)
 
 
-@compiled(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def balance(rover: Any, tyre: Any, grid: Any, override: Any, mode: int, velocity: Any, left: Any, work: Any) -> None:
     """Bring the rovers into equilibrium at their x, y and yaw, with the forces of `mode` at `velocity` (GROUP, 9).
 

@@ -31,7 +31,7 @@ def model_of_two() -> MgmModel:
     )
 
 
-@compiled(nogil=True)
+@compiled
 def bound_all(
     curvature: Any, gradient: Any, points: Any, problem: Any, space: Any, rooms: Any, found: Any
 ) -> None:  # fmt: skip

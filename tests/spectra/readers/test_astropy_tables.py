@@ -55,12 +55,13 @@ def test_a_plain_table_is_read_as_astropy_reads_it(
     rng, wavelength = np.random.default_rng(4), np.linspace(450.0, 2400.0, 40)
     rock = share * rng.uniform(0.1, 0.4, 40)
     columns: dict[str, Any] = {"wavelength": wavelength * u.nm, "rock": rock, "rock_sigma": rock * 1e-7}
-    columns |= {"width": np.full(40, 5) * u.nm, "whole": np.full(40, round(share))}
+    columns |= {"width": np.full(40, 5.0) * u.nm, "whole": np.full(40, float(round(share)))}
     table = Table(columns, meta={"title": "µ", "notes": ["a", {"b": 1.5}], "none": None, "synthetic": True})
     for name in ("rock", "rock_sigma", "whole"):
         table[name].unit = unit
     stream = io.StringIO()
     table.write(stream, format="ascii.ecsv", delimiter=delimiter)
+    assert astropy_tables._usual_columns(stream.getvalue()) is not None
     with pytest.warns(LunarSciWarning, match="left out 'width'"):
         plain = read(stream.getvalue(), "rock.ecsv")
         monkeypatch.setattr(astropy_tables, "_usual_columns", lambda text: None)
@@ -80,6 +81,29 @@ def test_a_plain_table_needs_no_astropy() -> None:
     assert columns.tolist() == [[0.4, 0.6], [10.0, 30.0], [1.0, 3.0]]
     assert meta == {"instrument": "VNIS", "drive": 12}
     assert astropy_tables._usual_columns(BY_HAND) is None
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        ("0.5 20.0 2.0", "0.5  2.0"),
+        ("# %ECSV 1.0", "# %ECSV"),
+        ("rock, datatype: float64", "rock, datatype: int64"),
+        ("# datatype:", "# delimiter: ';'\n# datatype:"),
+        ("# schema", "# meta: {a: !!omap [b: 1]}\n# schema"),
+    ],
+)
+def test_what_is_no_plain_table_is_left_to_astropy(change: tuple[str, str]) -> None:
+    made = ecsv({"wavelength": [0.4, 0.5] * u.um, "rock": [10.0, 20.0], "rock_sigma": [1.0, 2.0]}).decode()
+    assert astropy_tables._usual_columns(made) is not None and change[0] in made
+    assert astropy_tables._usual_columns(made.replace(*change, 1)) is None
+
+
+@pytest.mark.parametrize("unit", ["micron", "1000 pm"])
+def test_nm_and_um_by_other_names_are_read(read: Read, unit: str) -> None:
+    values = [0.4, 0.5] if unit == "micron" else [400.0, 500.0]
+    (spectrum,) = read(ecsv({"wavelength": values * u.Unit(unit), "rock": [0.1, 0.2]}), "rock.ecsv")
+    assert spectrum.wavelength_nm.tolist() == pytest.approx([400, 500])
 
 
 def test_content_decides_whatever_the_name(read: Read) -> None:
