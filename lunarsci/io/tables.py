@@ -21,7 +21,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, warn
 from lunarsci.io.inputs import BEGINNING, InputFile, InputStream, csv_rows, open_input, read_input, text
-from lunarsci.io.records import Records, coded
+from lunarsci.io.records import Codes, Records
 from lunarsci.provenance import sha256
 
 if TYPE_CHECKING:
@@ -235,7 +235,8 @@ def _written(column: "pd.Series") -> Any:
         return column.to_numpy()
     if column.dtype.kind == "f":
         return nine_digits(column.to_numpy(np.float64))
-    return coded("" if value is None or value != value else str(value) for value in column.tolist())
+    codes, values = column.factorize()
+    return Codes(np.where(codes < 0, len(values), codes), [*map(str, values), ""])
 
 
 def nine_digits(values: FloatArray) -> FloatArray:

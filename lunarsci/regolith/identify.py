@@ -224,7 +224,11 @@ def identify(
     pooled = min(draws, max(LEAST_POOLED, POOLED_DRAWS // len(states)))
     observations, measured, drawn = [], [], []
     for number, (name, values, sigmas) in enumerate(zip(states.id, states.values, states.sigmas, strict=True), 1):
-        sample = np.vstack([values, values + sigmas * random.standard_normal((draws, values.size))])
+        sample = np.empty((1 + draws, values.size))
+        random.standard_normal(out=sample[1:])
+        sample[1:] *= sigmas
+        sample[0] = 0.0
+        sample += values
         stresses = inversion.invert_states(sample, wheel.vector(), given.shear_modulus_mm * 1e-3, code)
         observations.append(_Solved(stresses, given).record(name))
         measured.append(stresses[:1].copy())
