@@ -385,8 +385,6 @@ LABELS = {
 TREND = 0.05
 """Chance of a rank correlation with slip that is called a trend: the usual level (Fisher 1925, Statistical Methods for
 Research Workers), of Kendall's tau (1938, Biometrika 30, 81, 10.1093/biomet/30.1-2.81)."""
-LAST_DIGITS = 1e-6
-"""Of the smallest error; values that differ by less are one value, solved for again and again; assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -400,7 +398,7 @@ class StatesAgreement:
     reduced_chi_square : of these values about their weighted mean, each with its own error.
     probability : of a larger one by chance.
     first, last : values at the least and the largest slip.
-    trend : `falls` or `rises` with slip, '' for neither, and where slips or values do not differ.
+    trend : `falls` or `rises` with slip, '' for neither, where slips do not differ, or values by less than their least error.
     """
 
     parameter: str
@@ -438,7 +436,7 @@ def agreement(parameter: str, estimates: Sequence[Estimate], slip: FloatArray) -
         return None
     chi_square = float(np.sum(weight * (value - np.average(value, weights=weight)) ** 2))
     chance = float(gammaincc(degrees / 2, chi_square / 2))
-    varied = np.isfinite(slip).all() and np.ptp(slip) > 0 and np.ptp(value) > LAST_DIGITS * sigma[solved].min()
+    varied = np.isfinite(slip).all() and np.ptp(slip) > 0 and np.ptp(value) > sigma[solved].min()
     rank = kendalltau(slip, value) if varied else None
     trend = "" if rank is None or rank.pvalue > TREND else "rises" if rank.statistic > 0 else "falls"
     order = np.argsort(slip, kind="stable")

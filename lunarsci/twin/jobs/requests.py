@@ -10,7 +10,6 @@ from typing import Any, Literal
 
 from lunarsci.errors import RequestError
 from lunarsci.heights import HeightUnit
-from lunarsci.io.tables import table_in
 from lunarsci.options import check_intervals, refuse_where
 from lunarsci.ranges import CHANCE, POSITIVE, SHARE, refuse
 
@@ -251,6 +250,8 @@ class PlanRequest(GroundRequest):
             return ()
         if not (folder := Path(self.start)).is_dir():
             return (self.start,)
+        from lunarsci.io.tables import table_in
+
         table = table_in(folder, "motion") or table_in(folder, "paths")
         if table is None:
             raise RequestError(
