@@ -17,7 +17,9 @@ from lunarsci.printable import printable
 from lunarsci.provenance import Provenance, document, json_chunks, plain
 
 from .options import Output
-from .table import FORMATS, MOST_VERDICTS, SAYS, TextTable, chosen, chosen_csv, names_of, render, terminal_width, to_csv
+from .table import (
+    FORMATS, MOST_VERDICTS, SAYS, TextTable, chosen, chosen_csv, first_screen, names_of, render, terminal_width, to_csv,
+)  # fmt: skip
 from .talk import FAILED, UNTRUSTED, say
 
 if TYPE_CHECKING:
@@ -159,10 +161,15 @@ def _listed(failures: Sequence[Failure]) -> bytes:
     return "".join(f"{line}\n" for line in lines).encode()
 
 
+def on_terminal() -> bool:
+    """Whether somebody reads what is printed, and no program."""
+    return sys.stdout is not None and sys.stdout.isatty()
+
+
 def _print(text: Iterable[bytes]) -> None:
     if sys.stdout is None:
         raise OutputError("stdout is closed; use -o FILE")
-    terminal = sys.stdout.isatty()
+    terminal = on_terminal()
     try:
         for piece in text:
             sys.stdout.write("\n".join(map(printable, piece.decode().split("\n"))) if terminal else piece.decode())
@@ -234,6 +241,8 @@ def _as_text(report: Report, output: Output, record: Mapping[str, Any]) -> Itera
     if output.wanted != "text":
         return [FORMATS[output.wanted](tables).encode()]
     to_file = output.path is not None and not output.folder and not report.written
+    if on_terminal() and not (to_file or output.verbose or output.chosen):
+        return [first_screen(_verdicts(report, record)[:1], tables, terminal_width()).encode()]
     return [render(tables, 0 if to_file else terminal_width(), keep=bool(output.chosen)).encode()]
 
 

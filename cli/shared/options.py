@@ -181,7 +181,10 @@ def shared_options(folder: bool, default_path: str | None, batch: bool) -> dict[
         ),
         **({"failed": (_option(Path | None, "--failed", text=FAILED_TEXT, metavar="FILE"), None)} if batch else {}),
         "quiet": (_option(bool, "--quiet", "-q", text="No progress, no warnings."), False),
-        "verbose": (_option(bool, "--verbose", "-v", text="Say more; a failure shows its traceback."), False),
+        "verbose": (
+            _option(bool, "--verbose", "-v", text="All tables and notes on a terminal; a failure with its traceback."),
+            False,
+        ),
     }
 
 

@@ -322,6 +322,32 @@ def render(tables: Sequence[TextTable], width: int = 0, *, keep: bool = False) -
     return "\n".join(_as_lines(fitted(table, width, keep=keep), box.SIMPLE_HEAD) for table in tables)
 
 
+SCREEN = 24
+"""Lines of a terminal, as they have been since the VT100."""
+NOTES = 3
+"""Notes below the table of a first screen."""
+
+
+def first_screen(answers: Sequence[str], tables: Sequence[TextTable], width: int) -> str:
+    """What a terminal shows at first: the answer, the first table and its first notes; all where that fits `SCREEN`."""
+    answer = [line for text in answers for line in wrapped(text, width)]
+    answer += [""] if answer else []
+    tables = [table for table in tables if table.title != SAYS]
+    whole = render(tables, width).splitlines()
+    if len(answer) + len(whole) <= SCREEN:
+        return "\n".join([*answer, *whole, ""])
+    main = next((table for table in tables if table.headers), TextTable([], []))
+    fewer = [(len(main.shown), notes) for notes in range(NOTES, -1, -1)]
+    for rows, notes in [*fewer, *((rows, 0) for rows in range(len(main.shown) - 1, -1, -1))]:
+        some = dataclasses.replace(main, rows=main.rows[:rows], notes=main.notes[:notes], total=0)
+        lines = render([some], width).splitlines()
+        if len(answer) + len(lines) < SCREEN:
+            break
+    cut = f"{main.count - rows} more rows, " if rows < main.count else ""
+    last = f"{cut}{len(whole) - len(lines)} more lines: --verbose; every number: --json or --csv"
+    return "\n".join([*answer, *lines, last, ""])
+
+
 def _as_lines(table: TextTable, frame: "Box") -> str:
     notes = [printable(part) for text in (*table.left_out, *table.notes) for part in text.split("\n")]
     title = [printable(part) for part in table.title.split("\n")] if table.title else []

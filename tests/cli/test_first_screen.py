@@ -1,0 +1,50 @@
+"""On a terminal a command shows its answer, a table and a few notes; all else is one option away."""
+
+from pathlib import Path
+
+import pytest
+
+SCREENS = {
+    "bands": "spectra bands rock.ecsv",
+    "indices": "spectra indices rock.ecsv",
+    "fit": "spectra fit rock.ecsv",
+    "choice of minerals": "spectra fit rock.ecsv --assemblage auto",
+    "shares": "spectra unmix rock.ecsv",
+    "forces": "regolith forces --sinkage 0.01",
+    "soil": "regolith identify wheel_states.csv --lateral-modulus 20",
+    "drive": "twin predict",
+    "terrain": "twin terrain",
+    "cameras": "images cameras rig.toml",
+    "heights": "images dem left.png right.png --rig rig.toml",
+    "file": "info rock.ecsv",
+}
+
+
+@pytest.fixture
+def terminal(demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A terminal of 80 columns in the demo's folder."""
+    monkeypatch.chdir(demo / "lunarsci-demo")
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setattr("lunarsci.cli.shared.emit.on_terminal", lambda: True)
+
+
+@pytest.mark.parametrize("command", SCREENS.values(), ids=SCREENS)
+def test_what_a_command_shows_at_first_fits_a_screen(run, terminal: None, command: str) -> None:
+    done = run(*command.split(), "-q")
+    lines = done.out.splitlines()
+    assert done.code in (0, 3), done.err
+    assert len(lines) <= 24
+    assert max(map(len, lines)) <= 80
+    assert lines[0] and not lines[0].startswith("─")
+
+
+def test_the_rest_is_behind_verbose(run, terminal: None) -> None:
+    short, whole = (run("spectra", "fit", "rock.ecsv", "-q", *more).out for more in ((), ("--verbose",)))
+    assert "more lines: --verbose" in short and "more lines" not in whole
+    assert "mineral shares" in whole and "mineral shares" not in short
+    assert "What this says" in whole
+
+
+def test_a_pipe_gets_everything(run, terminal: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lunarsci.cli.shared.emit.on_terminal", lambda: False)
+    assert "mineral shares" in run("spectra", "fit", "rock.ecsv", "-q").out
