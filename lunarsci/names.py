@@ -7,13 +7,14 @@ from lunarsci.errors import ParameterError
 
 
 def nearest(name: str, names: Iterable[str]) -> str | None:
-    """The known name that is most alike, capitals aside; None where none is.
+    """The known name that is most alike, capitals aside, one with a unit behind it first; None where none is.
 
-    >>> nearest("yutu-2", ["small-four", "yutu2"])
-    'yutu2'
+    >>> nearest("yutu-2", ["small-four", "yutu2"]), nearest("bc1000", ["bd1000", "bc1000_sigma_nm", "bc1000_nm"])
+    ('yutu2', 'bc1000_nm')
     """
     by_fold = {one.casefold(): one for one in reversed(list(names))}
-    close = difflib.get_close_matches(name.casefold(), list(by_fold), n=1)
+    longer = [one for one in by_fold if one.startswith(f"{name.casefold()}_")]
+    close = [min(longer, key=len)] if longer else difflib.get_close_matches(name.casefold(), list(by_fold), n=1)
     return by_fold[close[0]] if close else None
 
 

@@ -126,7 +126,14 @@ class KindOfFile:
     commands: tuple[str, ...]
 
 
-SPECTRUM = ("spectra bands", "spectra indices", "spectra fit", "spectra unmix", "spectra library import")
+SPECTRUM = (
+    "spectra bands",
+    "spectra indices",
+    "spectra fit",
+    "spectra unmix",
+    "spectra match",
+    "spectra library import",
+)
 GROUND = ("twin terrain", "twin plan", "twin predict --terrain")
 WHEEL = ("regolith infer --rover", "regolith identify --rover", "regolith forces --rover", "regolith compare --rover")
 KINDS: Mapping[str, KindOfFile] = {

@@ -18,7 +18,17 @@ from lunarsci.provenance import Provenance, document, json_chunks, plain
 
 from .options import Output
 from .table import (
-    FORMATS, MOST_VERDICTS, SAYS, TextTable, chosen, chosen_csv, first_screen, names_of, render, terminal_width, to_csv,
+    FORMATS,
+    MOST_VERDICTS,
+    SAYS,
+    TextTable,
+    chosen,
+    chosen_csv,
+    first_screen,
+    names_of,
+    render,
+    terminal_width,
+    to_csv,
 )  # fmt: skip
 from .talk import FAILED, UNTRUSTED, say
 

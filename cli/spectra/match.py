@@ -23,9 +23,9 @@ ROCK, CRATERS, PRIOR, EXPOSURE = "Rock", "Craters", "Prior", "Survival and re-ex
 Rocks = Annotated[
     list[str] | None,
     typer.Argument(
-        help="JSON results of `lunarsci spectra unmix` (shares of minerals), `spectra fit` (NBSR at 2 µm, if any) and "
-        " `spectra bands` (band centres, which none of the embedded craters has); the same id in two is one rock; - "
-        "is stdin. None with --modes or --bands.",
+        help="Spectra, for the shares that `lunarsci spectra unmix` gives them, or JSON results of `spectra unmix`, "
+        "`spectra fit` (NBSR at 2 µm, if any) and `spectra bands` (band centres, which no embedded crater has); the "
+        "same id in two is one rock; - is stdin. None with --modes or --bands.",
         metavar="[ROCK]...",
     ),
 ]

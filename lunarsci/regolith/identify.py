@@ -398,7 +398,7 @@ class StatesAgreement:
     reduced_chi_square : of these values about their weighted mean, each with its own error.
     probability : of a larger one by chance.
     first, last : values at the least and the largest slip.
-    trend : `falls` or `rises` with slip, '' for neither, where slips do not differ, or values by less than their least error.
+    trend : `falls` or `rises` with slip; '' for neither, for equal slips, and for values within their least error.
     """
 
     parameter: str

@@ -319,6 +319,8 @@ def read_state_table(
             f"{file}: no column normal_force_n: states of a drive without forces; `lunarsci twin update` learns the "
             "soil from them, `lunarsci twin loads --motion motion.csv --states states.csv` adds forces"
         )
+    if wheels and "time_s" in columns and "wheel" not in columns:
+        raise DataError(f"{file}: no column wheel; of telemetry, `lunarsci twin states` makes the states of each wheel")
     unused = check_columns(file, columns, EVERY_COLUMN, (*(("time_s", "wheel") if wheels else ()), *needed))
     if not any(name in columns for name in measured):
         raise DataError(f"{file}: no measured column; there can be {', '.join(measured)}")

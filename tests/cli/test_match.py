@@ -144,6 +144,14 @@ def test_several_rocks_and_a_bad_input_among_them(run, fitted: tuple[Path, Path]
     assert (alone.code, alone.out) == (1, "")
 
 
+def test_of_spectra_the_shares_of_unmix_are_matched(run, rock: Path, tmp_path: Path) -> None:
+    shares = tmp_path / "shares.json"
+    assert run("spectra", "unmix", rock, "-q", "-o", shares).code in (0, 3)
+    by_shares, at_once = (run("spectra", "match", one, "--csv") for one in (shares, rock))
+    assert at_once.out == by_shares.out and at_once.out.count("\n") > 5
+    assert "their shares are those of `spectra unmix`" in at_once.err[0]
+
+
 def test_a_catalogue_of_the_user_anywhere_on_the_moon(run, tmp_path: Path) -> None:
     file = tmp_path / "craters.csv"
     file.write_text(

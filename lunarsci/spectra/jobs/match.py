@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lunarsci.constants import PAPER
-from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, RequestError
+from lunarsci.errors import BatchError, DataError, Failure, LunarSciError, RequestError, warn
 from lunarsci.io.inputs import InputFile, expand_inputs, read_input
 from lunarsci.io.records import Records, RecordsInBlocks, in_blocks
 from lunarsci.io.tables import table_hashes
@@ -16,6 +16,7 @@ from lunarsci.names import some_of
 from lunarsci.options import request_of
 from lunarsci.result import NOT_TO_BE_TRUSTED, Doubt, MadeFrom, Progress, Result, job
 from lunarsci.spectra.jobs.requests import MatchRequest
+from lunarsci.spectra.jobs.unmix import unmix
 from lunarsci.spectra.origin.catalogue import (
     TABLE,
     Crater,
@@ -158,7 +159,8 @@ def match(
     """Match rocks with candidate craters.
 
     `rocks` are results of `unmix`, `fit` and `bands`, one or many: files of their JSON, patterns, open files, or the
-    results themselves; the same id in two is one rock. None with `modes` or `bands`, which describe one.
+    results themselves; the same id in two is one rock. Of spectra the shares are those of `unmix`. None with `modes` or
+    `bands`, which describe one.
 
     Raises DataError when no rock can be read, ParameterError where no crater can have delivered one.
 
@@ -262,8 +264,8 @@ def _read(sources: Sequence[Any]) -> MatchInputs:
     for item in sources:
         try:
             for source in _opened(item):
-                rocks += read_rocks(source)
                 hashes[source.name] = source.sha256
+                rocks += read_rocks(_shares_of(source))
         except LunarSciError as error:
             name = str(item) if isinstance(item, str | Path) else f"<{type(item).__name__}>"
             failures.append(Failure.of(name, error))
@@ -280,6 +282,15 @@ def _opened(item: Any) -> Iterator[InputFile]:
     else:
         for name in expand_inputs([str(item)]) if isinstance(item, str | Path) else [item]:
             yield read_input(name)
+
+
+def _shares_of(source: InputFile) -> InputFile:
+    """A result as it is; of spectra the result of `unmix`, as its options are where none is given."""
+    if source.data.lstrip()[:1] in (b"{", b"[", b""):
+        return source
+    shares = unmix(source)
+    warn(f"{source.name}: spectra; their shares are those of `spectra unmix` with its own defaults")
+    return InputFile(source.name, shares.to_json(time=False).encode())
 
 
 def _candidates(asked: MatchRequest) -> Candidates:

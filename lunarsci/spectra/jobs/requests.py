@@ -87,7 +87,7 @@ class BandsRequest:
     smooth_order : Order of the smoothing polynomial.
     wavelength_unit : Unit of the wavelengths.
     reflectance_unit : Unit of the reflectance.
-    id : Take only this spectrum of the files, by its name. May be repeated.
+    id : Take only these spectra of the files, by name or pattern (JB*), in this order. May be repeated.
     """
 
     continuum: Literal["conic", "hull", "linear"] = "conic"
@@ -113,7 +113,7 @@ class IndicesRequest:
     smooth_nm : Savitzky-Golay window in nm, of second order, before computing; 0 for none.
     wavelength_unit : Unit of the wavelengths.
     reflectance_unit : Unit of the reflectance.
-    id : Take only this spectrum of the files, by its name. May be repeated.
+    id : Take only these spectra of the files, by name or pattern (JB*), in this order. May be repeated.
     """
 
     index: tuple[str, ...] = ()
@@ -151,7 +151,7 @@ class ModelRequest:
     tie : Make a parameter follow another. May be repeated.
     wavelength_unit : Unit of the wavelengths.
     reflectance_unit : Unit of the reflectance.
-    id : Take only this spectrum of the files, by its name. May be repeated.
+    id : Take only these spectra of the files, by name or pattern (JB*), in this order. May be repeated.
 
     Raises
     ------
@@ -260,7 +260,7 @@ class UnmixRequest:
         rocks as were returned from the Moon, of which a solid rock (`kind` solid-rock) is likely one.
     wavelength_unit : Unit of the wavelengths.
     reflectance_unit : Unit of the reflectance.
-    id : Take only this spectrum of the files, by its name. May be repeated.
+    id : Take only these spectra of the files, by name or pattern (JB*), in this order. May be repeated.
 
     Raises
     ------

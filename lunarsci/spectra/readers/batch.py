@@ -3,6 +3,8 @@
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -129,12 +131,13 @@ def read_batch(
 
 
 def _those(batch: SpectraBatch, only: Sequence[str]) -> SpectraBatch:
-    """The spectra of some names, in the order of the inputs."""
+    """The spectra of some names or patterns, in the order of these."""
     ids = batch.spectra.ids
-    if missing := next((name for name in only if name not in ids), None):
+    each = {name: [k for k, one in enumerate(ids) if one == name or fnmatchcase(one, name)] for name in only}
+    if missing := next((name for name, found in each.items() if not found), None):
         result = some_of(ids, NAMED)
         raise DataError(f"no spectrum is called '{missing}'; {meant(missing, ids)}there are {len(ids)}: {result}")
-    places = np.array([place for place, name in enumerate(ids) if name in only])
+    places = np.array(list(dict.fromkeys(chain.from_iterable(each.values()))))
     return replace(batch, spectra=batch.spectra.taken(places), origins=[batch.origins[k] for k in places])
 
 

@@ -190,7 +190,8 @@ def test_some_spectra_of_a_file_are_taken_by_their_names(tmp_path: Path, capsys:
     file = tmp_path / "many.csv"
     INDEXED.assign(**{f"rock-{k}": REFLECTANCE * (1 + 0.1 * k) for k in range(8)}).to_csv(file)
     found = bands(str(file), id=("rock-5", "rock-2"))
-    assert list(found.to_table()["id"]) == ["rock-2", "rock-5"] and len(found.batch.origins) == 2
+    assert list(found.to_table()["id"]) == ["rock-5", "rock-2"] and len(found.batch.origins) == 2
+    assert list(bands(str(file), id=("rock-7", "rock-[12]")).to_table()["id"]) == ["rock-7", "rock-1", "rock-2"]
     assert found.asked is not None and found.asked.options["id"] == ["rock-5", "rock-2"]
     assert main(["spectra", "bands", str(file), "--id", "rock-2", "--json", "-q"]) == 0
     assert [one["id"] for one in json.loads(capsys.readouterr().out)["result"]["spectra"]] == ["rock-2"]
