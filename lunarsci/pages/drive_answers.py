@@ -22,6 +22,7 @@ from lunarsci.pages.words import (
     unit,
     words,
 )
+from lunarsci.regolith.columns import short_name
 from lunarsci.result import UNMOVED
 
 
@@ -29,7 +30,8 @@ from lunarsci.result import UNMOVED
 def predicted(result: Result) -> ResultAnswer:
     go = result["verdict"] == "go"
     members, length = result["members"], number(result.get("path_length_m"), 3)
-    drive = f"the drive \u201c{result.get('plan', '')}\u201d of {length} m"
+    ground = (result.get("terrain") or {}).get("name", "")
+    drive = f"the drive \u201c{result.get('plan', '')}\u201d of {length} m by {short_name(result['rover'])} on {ground}"
     if result["verdict"] == "not-determined":
         return ResultAnswer(f"Not determined for {drive}: {result['reasons'][0]}.", DOUBT)
     if not go:
