@@ -63,12 +63,11 @@ def test_a_difference_is_seen() -> None:
     ]
 
 
-def test_what_is_recorded_is_said_in_the_changelog(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With its reason; answers that are not named stay."""
-    (tmp_path / "CHANGELOG.md").write_text("# Changelog\n\n## [Unreleased]\n\n### Changed\n\n- Something else\n")
-    (tmp_path / "table.json").write_text(json.dumps({"answers": {"one": {"x": 1.0}, "other": {"x": 1.0}}}))
-    monkeypatch.setattr(former, "ROOT", tmp_path)
-    monkeypatch.setattr(former, "TABLE", tmp_path / "table.json")
+def test_what_is_recorded_is_kept_with_its_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Answers that are not named stay."""
+    table = tmp_path / "table.json"
+    table.write_text(json.dumps({"answers": {"one": {"x": 1.0}, "other": {"x": 1.0}}, "why": {"other": "new"}}))
+    monkeypatch.setattr(former, "TABLE", table)
     former.record(["one"], "a better soil", {"one": {"x": 2.0}, "other": {"x": 2.0}})
     assert former.former_answers() == {"one": {"x": 2.0}, "other": {"x": 1.0}}
-    assert "\n- Recorded answers of `one`: a better soil\n- Something else\n" in (tmp_path / "CHANGELOG.md").read_text()
+    assert json.loads(table.read_text())["why"] == {"one": "a better soil", "other": "new"}

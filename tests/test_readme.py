@@ -3,6 +3,7 @@
 `python tests/test_readme.py --write [PAGE ...]` runs them and writes what they print now into the pages.
 """
 
+import contextlib
 import doctest
 import json
 import os
@@ -107,6 +108,25 @@ class Reader:
         assert "Traceback" not in done.stderr
         return done.stdout
 
+    def terminal(self, command: str, folder: Path) -> str:
+        """What a line prints on a terminal; it must succeed."""
+        ours, theirs = os.openpty()
+        plain, printed = {"TERM": "dumb", "NO_COLOR": "1"}, b""
+        with tempfile.TemporaryFile("w+") as told:
+            line = ["sh", "-c", f"set -e\n{command}"]
+            process = subprocess.Popen(line, cwd=folder, env=self.environment | plain, stdout=theirs, stderr=told)
+            os.close(theirs)
+            with contextlib.suppress(OSError):  # the other end is closed: the command has ended
+                while part := os.read(ours, 10_000):
+                    printed += part
+            os.close(ours)
+            code = process.wait()
+            told.seek(0)
+            errors = told.read()
+        text = printed.decode().replace("\r\n", "\n")
+        assert code == 0 and "Traceback" not in errors, f"{command}\n{text[-2000:]}{errors}"
+        return text
+
     def demo(self) -> str:
         """What the demo prints, which is run where that was not done before."""
         printed = self.demo_folder / "printed.txt"
@@ -137,7 +157,7 @@ class Reader:
                 self.shell(text, folder)
             elif language == "console":
                 for command, shown in commands_shown(text):
-                    printed = self.demo() if command == "lunarsci demo" else self.shell(command, folder)
+                    printed = self.demo() if command == "lunarsci demo" else self.terminal(command, folder)
                     yield Run(command, shown, printed)
             elif (language, text) == python[-1]:
                 yield from self._python(python, folder)

@@ -16,7 +16,7 @@ from lunarsci.names import meant, some_of
 from lunarsci.printable import printable
 from lunarsci.provenance import Provenance, document, json_chunks, plain
 
-from .options import Output
+from .options import FORM_OF, Output
 from .table import (
     FORMATS,
     MOST_VERDICTS,
@@ -42,6 +42,8 @@ NAMED = 5
 MOST_ANSWERED = 1000
 """Spectra or rocks of a result that is answered in a sentence; of more, all records would have to be made for it."""
 
+FORMS_BY_NAME = f"{', '.join(FORM_OF)} at the end of its name give other forms"
+"""Beside a file whose name has another end."""
 OF_SPECTRA = {"lunarsci/spectra-fit/1": "fit_doubt", "lunarsci/spectra-unmix/1": "shares_doubt"}
 """Results of which each spectrum says itself whether it is to be trusted, and what in `verdicts` tells it."""
 
@@ -137,8 +139,12 @@ def emit(report: Report, output: Output, provenance: Provenance) -> int:
     elif output.path and not report.written:
         contents[output.path] = made or text
     write_files(contents, force=output.force, folder=output.path if output.folder else None)
+    as_text = (
+        output.path if output.wanted == "text" and not (made or value or output.folder or report.written) else None
+    )
     for path in (*report.written, *contents):
-        say(f"written: {path}", quiet=output.quiet)
+        guessed = path == as_text and path.suffix.lower() not in ("", ".txt", ".log")
+        say(f"written: {path}{f' as text; {FORMS_BY_NAME}' if guessed else ''}", quiet=output.quiet)
     if failed is not None:
         raise failed
     if output.folder or not output.path or report.written:

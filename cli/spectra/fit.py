@@ -82,7 +82,7 @@ def fit_tables(fits: MgmFits) -> list[TextTable]:
     )
     if not alone:
         return [overview]
-    tables = [_bands_table(fits.good[0]), overview]
+    tables = [_bands_table(fits.good[0], overview), overview]
     tables += [_intervals_table(record["intervals"])] if record["intervals"] else []
     tables += [_choice_table(record["choice"])] if record["choice"] else []
     tables += [_abundance_table(fits.abundances[0])] if fits.abundances.get(0) else []
@@ -158,13 +158,18 @@ def _overview_row(record: Mapping[str, Any]) -> list[str]:
     return [record["id"], record["assemblage"] + margin, plus_minus(rms, digits=2), *cells, record["status"]]
 
 
-def _bands_table(fit: MgmFit) -> TextTable:
+def _bands_table(fit: MgmFit, overview: TextTable) -> TextTable:
+    """The bands; what `overview` has of the fit stands below, where a screen takes no second table."""
     spread = any(band.center_continuum_nm is not None for band in fit.bands)
     headers = ["band", "mineral", "centre [nm]", "FWHM [nm]", "strength [ln R]", "strength/σ"]
     headers += ["shrinkage of centre", "shrinkage of FWHM"]
     headers += ["continua: centre [nm]", "continua: strength"] if spread else []
     rows = [_band_row(band, spread) for band in fit.bands]
-    notes = ["shrinkage: 1 where the data decide on centre or FWHM, 0 where the prior does"]
+    rms, *ratios, status = overview.rows[0][2:]
+    known = [f"{ratio} at {place}" for ratio, place in zip(ratios, ("1 µm", "2 µm"), strict=True) if ratio != "-"]
+    ratio_text = f"; NBSR of OPX {', '.join(known)}" if known else ""
+    notes = [f"{status}, rms of ln R {rms} %{ratio_text}"]
+    notes += ["shrinkage: 1 where the data decide on centre or FWHM, 0 where the prior does"]
     if any(cell.endswith("?") for row in rows for cell in row):
         notes.append(
             "± ?: not determined, the error is wider than where bands can be; the value is where the fit ended"

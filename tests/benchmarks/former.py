@@ -2,7 +2,7 @@
 
 `python tests/benchmarks/former.py` prints every number, text and key that is another than in the table. A change on
 purpose is recorded by `python tests/benchmarks/former.py --why "..." [NAME ...]`: it renews those answers, or all, and
-says so in CHANGELOG.md. Of each number six digits are held, whatever its size: the others depend on the processor and
+keeps the reason beside them. Of each number six digits are held, whatever its size: the others depend on the processor and
 on the libraries.
 """
 
@@ -411,21 +411,19 @@ class Answers:
 
 
 def record(names: list[str], why: str, made: dict[str, Any]) -> None:
-    """Renew these answers in the table, and name them and the reason in the changelog."""
+    """Renew these answers in the table, and keep the reason there."""
     former = former_answers()
     changed = {name: made[name] for name in names or made if differences(former.get(name), made[name], name)}
     kept = {name: answer for name, answer in former.items() if name in made}
-    TABLE.write_text(json.dumps({"answers": kept | changed}, indent=0, sort_keys=True) + "\n", "utf-8")
-    log = ROOT / "CHANGELOG.md"
-    text, line = log.read_text("utf-8"), f"- Recorded answers of {', '.join(f'`{name}`' for name in changed)}: {why}\n"
-    start = text.index("\n- ", text.index("## [Unreleased]")) + 1
-    log.write_text(text[:start] + line * bool(changed) + text[start:], "utf-8")
+    reasons = json.loads(TABLE.read_text("utf-8")).get("why", {}) | dict.fromkeys(changed, why)
+    table = {"answers": kept | changed, "why": reasons}
+    TABLE.write_text(json.dumps(table, indent=0, sort_keys=True) + "\n", "utf-8")
 
 
 def run() -> None:
     """Compare, or record."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--why", help="what changed these numbers, for the changelog; the answers are then renewed")
+    parser.add_argument("--why", help="what changed these numbers; the answers are then renewed")
     parser.add_argument("names", nargs="*", help="answers that are renewed; by default all that differ")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:

@@ -48,3 +48,11 @@ def test_the_rest_is_behind_verbose(run, terminal: None) -> None:
 def test_a_pipe_gets_everything(run, terminal: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lunarsci.cli.shared.emit.on_terminal", lambda: False)
     assert "mineral shares" in run("spectra", "fit", "rock.ecsv", "-q").out
+
+
+def test_a_file_whose_name_tells_no_form_is_said_to_be_text(run, tmp_path: Path) -> None:
+    forces = ("regolith", "forces", "--sinkage", "0.01", "-o")
+    said = {end: run(*forces, tmp_path / f"forces{end}").err[0] for end in (".xyz", ".txt", ".md")}
+    assert "as text; .txt, .md, .tsv, .tex, .csv, .json at the end of its name give other forms" in said[".xyz"]
+    assert said[".txt"].endswith("forces.txt") and said[".md"].endswith("forces.md")
+    assert (tmp_path / "forces.xyz").read_bytes() == (tmp_path / "forces.txt").read_bytes()

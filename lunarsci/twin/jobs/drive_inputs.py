@@ -1,5 +1,6 @@
 """What drives where: plan, rover, terrain and soil of a drive, checked against each other; soils of all its members."""
 
+import re
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -271,8 +272,9 @@ def _check_missing(plan: Path) -> None:
     except (OSError, ValueError, KeyError, TypeError):
         return
     if plan.name == "plan.toml" and isinstance(why, str):
-        others = sorted(path.name for path in plan.parent.glob("plan-*.toml"))
-        named = f"; {others[0]} is the safest kept" if others else ""
+        number = re.search(r"drive (\d+), the safest", why)
+        safest = f"plan-{int(number[1]):02d}.toml" if number else ""
+        named = f"; {safest} is the safest" if safest and (plan.parent / safest).is_file() else ""
         raise DataError(
             f"{plan}: `twin plan` found no drive that keeps its risk, and wrote none (result.json says why){named}; "
             "plan with more `risk`, `fixes`, or another `target`"
