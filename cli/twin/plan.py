@@ -89,14 +89,14 @@ def plan(output: Output, request: PlanRequest, terrain: NamedTerrain = None, geo
 
 
 def result_tables(survey: TerrainSurvey) -> list[TextTable]:
-    """A mission's targets and legs, or the drives to choose from or the ground, and the way."""
+    """A mission's targets and legs, or the drives to choose from and the way, or the way and the ground."""
     from lunarsci.twin.jobs.chosen_drive import ChosenDrive
     from lunarsci.twin.jobs.plan import PlannedMission
 
     if isinstance(survey, PlannedMission):
         return mission_tables(survey)
-    tables = [_choice_table(survey)] if isinstance(survey, ChosenDrive) else [ground_table(survey)]
-    return tables + ([] if survey.path is None else [_path_table(survey, survey.path)])
+    way = [] if survey.path is None else [_path_table(survey, survey.path)]
+    return [_choice_table(survey), *way] if isinstance(survey, ChosenDrive) else [*way, ground_table(survey)]
 
 
 def _choice_table(survey: ChosenDrive) -> TextTable:

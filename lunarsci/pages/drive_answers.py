@@ -102,7 +102,12 @@ def _with_unit(limit: Result, value: float, digits: int = 2) -> str:
 
 
 @answers("The ground", "twin-terrain")
+def surveyed(result: Result) -> ResultAnswer:
+    return planned(result) if result.get("path") else ground(result)
+
+
 def ground(result: Result) -> ResultAnswer:
+    """Where one may drive, without a path."""
     free, hazard = percent(result["traversable_share"]), percent(result["hazard_share"])
     shares = f"{free} of the ground may be driven on, {hazard} is a hazard"
     unknown = f", {percent(result['unknown_share'])} is not known"
@@ -127,7 +132,9 @@ def planned(result: Result) -> ResultAnswer:
     )
     risk = _chosen(choice) if choice else ""
     return ResultAnswer(
-        f"There is a way: {place}{room}, on slopes of up to {number(path['max_slope_deg'], 2)}°.{risk}", GO
+        f"There is a way: {place}{room}, on slopes of up to {number(path['max_slope_deg'], 2)}°.{risk}"
+        f"{_made_up(result, 'way')}",
+        GO,
     )
 
 
