@@ -102,6 +102,8 @@ class CahvModel:
             value = sine * along - cosine * away - (theta - sine) * moved
             slope = cosine * along + sine * away - (1 - cosine) * moved - (theta - sine) * change
             theta = theta - value / slope
+            if not (np.abs(value) > 1e-15 * np.abs(slope)).any():
+                break
         return theta
 
     def _chi(self, theta: FloatArray) -> FloatArray:

@@ -212,7 +212,8 @@ class Camera:
         goal_y = (given[..., 1] - self.cy_px) / self.fy_px
         x, y = goal_x.copy(), goal_y.copy()
         if self.lens is not None or self.distortion.any():
-            x, y = self._undistorted(goal_x, goal_y)
+            with np.errstate(all="ignore"):
+                x, y = self._undistorted(goal_x, goal_y)
         return np.stack([x, y, np.ones_like(x)], axis=-1)
 
     def sees(self, pixels: npt.ArrayLike, margin_px: float = 0.0) -> npt.NDArray[np.bool_]:
