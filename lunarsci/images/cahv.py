@@ -28,10 +28,10 @@ MOST_PX = 100_000
 """Lines or samples of a picture: a hundred times those of cameras on rovers; assumed."""
 LABEL_BYTES = 1 << 18
 """Of a file that labels lie in: five times those of Mars 2020."""
-LENS_RANGE_M = 2.0
-"""Range that a lens is taken at whose pupil moves with the angle: between wheels and horizon; assumed. [m]"""
-LINEARITY = {1: 1.0, 2: 0.0}
-"""Of CAHVORE's types: perspective and fish-eye; the third one states its own."""
+RANGES = (2.0, 5.0, 20.0)
+"""Ranges that a model is looked at by, since the pupil of CAHVORE moves; a lens is right at the first one. [m]"""
+LINEARITY = {1.0: 1.0, 2.0: 0.0}
+"""Of CAHVORE's types, perspective and fish-eye; the third one states its own: Gennery (2006) and `cmod_cahvore.c`."""
 NUMBER = r"[-+]?(?:\d++\.?+\d*+|\.\d++)(?:[eEdD][-+]?\d++)?"
 """A number of a label."""
 LEVEL = ("SITE", "LOCAL_LEVEL", "LANDER")
@@ -40,7 +40,7 @@ DOWNWARDS = (*LEVEL, "ROVER")
 """Begins of names of frames whose z points down: Maki et al. (2003), 10.1029/2003JE002077, for MER; MSL and Mars 2020
 as well."""
 _VALUE = rf"\([^()]*+\)|\"[^\"]*+\"|'[^']*+'|[^\s,=]++(?:[ \t,]++{NUMBER}(?![\w=]))*+"
-_ENTRY = re.compile(rf"\b(END_(?:GROUP|OBJECT))\b|([\w:^]++)[ \t]*+=\s*+({_VALUE})")
+_ENTRY = re.compile(rf"\b(END_(?:GROUP|OBJECT))\b|(?<![\w:^])([\w:^]++)[ \t]*+=\s*+({_VALUE})")
 _NUMBERS = re.compile(r"\.(img|vic|dat|2[abc])", re.IGNORECASE)
 _ODL, _VICAR = re.compile(rb"^\s*(?:PDS|ODL)_VERSION_ID"), re.compile(rb"\bLBLSIZE\s*=\s*(\d{1,8})")
 _LETTERS = {"center": "C", "axis": "A", "horizontal": "H", "vertical": "V", "optical": "O", "radial": "R",
@@ -123,7 +123,7 @@ class CahvModel:
         axis = v["A"] / np.linalg.norm(v["A"])
         across, down = np.cross(np.cross(axis, v["H"]), axis), np.cross(np.cross(axis, v["V"]), axis)
         focal = float(np.linalg.norm(across)), float(np.linalg.norm(down))
-        if not (0 < focal[0] < np.inf and 0 < focal[1] < np.inf):
+        if not 0 < min(focal) <= max(focal) < MOST_PX**2:
             raise ValueError(f"A, H and V span no picture ({focal[0]:g}, {focal[1]:g} px); check the label")
         turn = orthonormal(np.stack([across / focal[0], np.cross(axis, across / focal[0]), axis], axis=1))
         return turn, np.array([*focal, axis @ v["H"], axis @ v["V"]])
@@ -137,11 +137,11 @@ class CahvModel:
     def bent(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Pixels over the focal length, from the principal point, of directions over their z, as `Camera.lens`. [-]
 
-        The directions are those of points `LENS_RANGE_M` from the origin of its frame.
+        The directions are those of points at the first of `RANGES` from the origin of its frame.
         """
         _, (fx, fy, cx, cy) = self.axes()
         ways = np.stack([x, y, np.ones_like(x)], axis=-1)
-        points = LENS_RANGE_M * ways / np.linalg.norm(ways, axis=-1, keepdims=True)
+        points = RANGES[0] * ways / np.linalg.norm(ways, axis=-1, keepdims=True)
         pixels = self.project(points.reshape(-1, 3)).reshape(*np.shape(x), 2)
         return (pixels[..., 0] - cx) / fx, (pixels[..., 1] - cy) / fy
 
@@ -220,7 +220,7 @@ def label_parts(file: InputFile) -> list[str]:
     """Labels of PDS3 and VICAR that a file begins with, without the picture behind them; none of any other file."""
     start, parts = file.data[:LABEL_BYTES], []
     if _ODL.match(start):
-        end = re.search(rb"^\s*END\s*$", start, re.MULTILINE)
+        end = re.search(rb"^[ \t]*+END[ \t\r]*+$", start, re.MULTILINE)
         parts.append(start[: end.start() if end else None])
     vicar = _VICAR.search(start)
     if vicar and (parts or vicar.start() == 0):
@@ -256,20 +256,22 @@ def model_in(label: InputFile) -> StatedModel | None:
         values = {}
         for part in label_parts(label) or [text(label)]:
             values = {**label_values(part), **values}
+        if spelled := re.search(rf"CAHVORE([123])(?:[\s,]+({NUMBER}))?", values.get(("", "MODEL"), "")):
+            values = {("", "T"): spelled[1], ("", "P"): spelled[2] or "", **values}
     group = next((group for group, key in values if key == "MODEL_COMPONENT_1"), "")
     vectors = _components(values, group)
     if not {*"CAHV"} <= vectors.keys():
         return None
     frame = values.get((group, "REFERENCE_COORD_SYSTEM_NAME"), values.get(("", "COORDINATE_SYSTEM_NAME"), ""))
-    turn, told = _upright(values, frame.upper())
-    return StatedModel(_model_of(label.name, values, group, vectors), frame, turn, (*told, *_of_subframe(values)))
+    turn, remarks = _upright(values, frame.upper())
+    return StatedModel(_model_of(label.name, values, group, vectors), frame, turn, (*remarks, *_of_subframe(values)))
 
 
 def label_values(content: str) -> dict[tuple[str, str], str]:
     """Values of a label of PDS3 or VICAR, or of a text of `KEY = value`, by group and key in capitals."""
-    found: dict[tuple[str, str], str] = {}
+    values: dict[tuple[str, str], str] = {}
     groups = [""]
-    for end, name, value in _ENTRY.findall(re.sub(r"/\*[^\n]*?\*/", " ", content)):
+    for end, name, value in _ENTRY.findall(re.sub(r"/\*[^\n]{0,200}?\*/", " ", content)):
         key, cell = name.upper(), value.strip("\"'")
         if end or key in ("END_GROUP", "END_OBJECT"):
             groups = groups[:-1] or [""]
@@ -278,43 +280,43 @@ def label_values(content: str) -> dict[tuple[str, str], str]:
         elif key in ("PROPERTY", "TASK"):
             groups = ["", cell]
         else:
-            found.setdefault((groups[-1], key), cell)
-    return found
+            values.setdefault((groups[-1], key), cell)
+    return values
 
 
 def _of_xml(root: Element) -> dict[tuple[str, str], str]:
     """Values of a label of PDS4 (`geom`, Geometry Dictionary 1.9) under the names that they have in PDS3."""
-    found: dict[tuple[str, str], str] = {}
+    values: dict[tuple[str, str], str] = {}
     for kind in ("cahvore_model", "cahvor_model", "cahv_model"):
         for part in (part for model in root.iter(kind) for part in model):
             word = part.tag.removeprefix("vector_").removesuffix("_terms")
             if word in _LETTERS:
-                found.setdefault(("", _LETTERS[word]), " ".join(cell.text or "" for cell in part))
+                values.setdefault(("", _LETTERS[word]), " ".join(cell.text or "" for cell in part))
             elif part.tag in ("cahvore_model_type", "cahvore_model_parameter"):
-                found.setdefault(("", "T" if part.tag.endswith("type") else "P"), part.text or "")
+                values.setdefault(("", "T" if part.tag.endswith("type") else "P"), part.text or "")
     frame = next((node.text for each in root.iter("camera_model_parameters")
                   for node in each.iter("coordinate_space_frame_type") if node.text), "")  # fmt: skip
-    found["", "COORDINATE_SYSTEM_NAME"] = str(frame).strip()
+    values["", "COORDINATE_SYSTEM_NAME"] = str(frame).strip()
     for space in root.iter("coordinate_space_definition"):
         name = next((str(n.text).strip() for n in space.iter("coordinate_space_frame_type")), "")
         turn = next(space.iter("quaternion_plus_direction"), None)
         if turn is not None:
-            found.setdefault((name, "COORDINATE_SYSTEM_NAME"), name)
+            values.setdefault((name, "COORDINATE_SYSTEM_NAME"), name)
             cells = (turn.findtext(tag, "") for tag in ("qcos", "qsin1", "qsin2", "qsin3"))
-            found.setdefault((name, "ORIGIN_ROTATION_QUATERNION"), " ".join(cells))
+            values.setdefault((name, "ORIGIN_ROTATION_QUATERNION"), " ".join(cells))
     for axis in root.iter("axis_array"):
         key = {"line": "LINES", "sample": "LINE_SAMPLES"}.get(str(axis.findtext("axis_name")).strip().lower(), "")
-        found.setdefault(("IMAGE", key), str(axis.findtext("elements")))
+        values.setdefault(("IMAGE", key), str(axis.findtext("elements")))
     for tag, key in (("first_line", "FIRST_LINE"), ("first_sample", "FIRST_LINE_SAMPLE")):
         for node in (node for part in root.iter("subframe") for node in part.iter(tag)):
-            found.setdefault(("IMAGE", key), str(node.text))
-    return found
+            values.setdefault(("IMAGE", key), str(node.text))
+    return values
 
 
 def _numbers(cell: str) -> FloatArray:
     """Numbers of a value, without units in <>. (n)"""
-    found = re.findall(rf"(?<![\w.]){NUMBER}(?![\w.])", re.sub(r"<[^<>]*>", " ", cell))
-    return np.array([float(one.upper().replace("D", "E")) for one in found])
+    cells = re.findall(rf"(?<![\w.]){NUMBER}(?![\w.])", re.sub(r"<[^<>]*>", " ", cell))
+    return np.array([float(one.upper().replace("D", "E")) for one in cells])
 
 
 def _first(values: Values, *places: tuple[str, str]) -> FloatArray:
@@ -326,13 +328,14 @@ def _components(values: Values, group: str) -> dict[str, FloatArray]:
     """Vectors by letter: MODEL_COMPONENT_1 … of PDS3 and VICAR in the order of MODEL_COMPONENT_ID, or C = x y z."""
     letters = re.findall(r"\w+", values.get((group, "MODEL_COMPONENT_ID"), "")) or [*"CAHVORE"]
     places = {letter: ((group, f"MODEL_COMPONENT_{k}"), (group, letter)) for k, letter in enumerate(letters, start=1)}
-    found = {letter: _first(values, *both) for letter, both in places.items() if letter in "CAHVORE"}
-    return {letter: part for letter, part in found.items() if part.size == 3}
+    vectors = {letter: _first(values, *both) for letter, both in places.items() if letter in "CAHVORE"}
+    return {letter: part for letter, part in vectors.items() if part.size == 3}
 
 
 def _model_of(name: str, values: Values, group: str, vectors: dict[str, FloatArray]) -> CahvModel:
     """Raises DataError for a model that lacks something."""
-    image, pair = group_of_image(values), _first(values, ("", "DIMENSIONS"))
+    image = next((group for group, key in values if key == "LINES" and group.endswith("IMAGE")), "IMAGE")
+    pair = _first(values, ("", "DIMENSIONS"))
     width, height = (
         _first(values, (image, long), ("", short), ("", long), ("", other))
         for long, short, other in (("LINE_SAMPLES", "NS", "XDIM"), ("LINES", "NL", "YDIM"))
@@ -355,28 +358,17 @@ def _model_of(name: str, values: Values, group: str, vectors: dict[str, FloatArr
     )
 
 
-def group_of_image(values: Values) -> str:
-    """The group of a label that describes the picture: never that of a subframe, a thumbnail or a request."""
-    return next((group for group, key in values if key == "LINES" and group.endswith("IMAGE")), "IMAGE")
-
-
 def _linearity(name: str, values: Values, group: str) -> float:
-    """P of CAHVORE from its type and its own number. Raises DataError where these are missing or unknown."""
-    spelled = re.search(rf"CAHVORE([123])(?:\s*,\s*({NUMBER}))?", values.get(("", "MODEL"), ""))
-    more = dict(zip("TP", spelled.groups(default="") if spelled else ("", ""), strict=True))
-    kind, own = (
-        _first(
-            {**values, ("", "spelled"): more[letter]}, (group, first), (group, second), (group, letter), ("", "spelled")
-        )
-        for first, second, letter in (("MODEL_COMPONENT_8", "MTYPE", "T"), ("MODEL_COMPONENT_9", "MPARM", "P"))
-    )
-    number = int(kind[0]) if kind.size and float(kind[0]).is_integer() else 3 if not kind.size else 0
-    linearity = LINEARITY.get(number, float(own[0]) if number == 3 and own.size else math.nan)
+    """P of CAHVORE from its type and its parameter. Raises DataError where these are missing or unknown."""
+    kind = _first(values, (group, "MODEL_COMPONENT_8"), (group, "MTYPE"), (group, "T"))
+    parameter = _first(values, (group, "MODEL_COMPONENT_9"), (group, "MPARM"), (group, "P"))
+    number = float(kind[0]) if kind.size else 3.0
+    linearity = LINEARITY.get(number, float(parameter[0]) if number == 3 and parameter.size else math.nan)
     if not -1 <= linearity <= 1:
         raise DataError(
             f"{name}: a CAHVORE model needs its type T (MODEL_COMPONENT_8: 1 perspective, 2 fish-eye, 3 general) and, "
             "where this is 3, P of -1 to 1 (MODEL_COMPONENT_9); "
-            f"T is {', '.join(map(str, kind)) or 'missing'}, P {', '.join(map(str, own)) or 'missing'}"
+            f"T is {', '.join(map(str, kind)) or 'missing'}, P {', '.join(map(str, parameter)) or 'missing'}"
         )
     return linearity
 
@@ -386,22 +378,22 @@ def _upright(values: Values, frame: str) -> tuple[FloatArray | None, tuple[str, 
     if not frame.startswith(DOWNWARDS):
         return None, (f"frame {frame}: which way is up is not known",) if frame else ()
     up = np.diag([1.0, -1.0, -1.0])
-    told = f"z of the label's frame {frame} points down: x, -y, -z of it are told"
+    remark = f"z of the label's frame {frame} points down: x, -y, -z of it are told"
     if frame.startswith(LEVEL):
-        return up, (told,)
+        return up, (remark,)
     groups = (g for (g, key), cell in values.items() if key == "COORDINATE_SYSTEM_NAME" and g and cell.upper() == frame)
     quaternion = _first(values, *((g, "ORIGIN_ROTATION_QUATERNION") for g in groups))
     if quaternion.size != 4 or not math.isclose(float(np.linalg.norm(quaternion)), 1, abs_tol=1e-3):
-        return up, ("the label has no tilt of the rover: its frame is as tilted as the rover was", told)
+        return up, ("the label has no tilt of the rover: its frame is as tilted as the rover was", remark)
     level = Rotation.from_quat(quaternion[[1, 2, 3, 0]]).as_matrix()
     return up @ level, (f"turned from {frame} to x north, y west, z up by the rover's quaternion in the label",)
 
 
 def _of_subframe(values: Values) -> tuple[str, ...]:
     """A remark on a picture that is a part of the detector's, or has fewer pixels."""
-    done = [(key, cell) for (group, key), cell in values.items() if not re.search("REQUEST|REF|THUMB", group)]
-    line, sample = (next((c for k, c in done if k == key), "1") for key in ("FIRST_LINE", "FIRST_LINE_SAMPLE"))
-    binned = {cell for key, cell in done if key.startswith("PIXEL_AVERAGING")} - {"1", "1.0"}
+    cells = [(key, cell) for (group, key), cell in values.items() if not re.search("REQUEST|REF|THUMB", group)]
+    line, sample = (next((c for k, c in cells if k == key), "1") for key in ("FIRST_LINE", "FIRST_LINE_SAMPLE"))
+    binned = {cell for key, cell in cells if key.startswith("PIXEL_AVERAGING")} - {"1", "1.0"}
     if {line, sample} == {"1"} and not binned:
         return ()
     return (

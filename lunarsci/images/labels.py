@@ -13,7 +13,17 @@ from scipy.spatial.transform import Rotation
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.images.cahv import CahvModel, StatedModel, count_of, finite, is_xml, label_of, model_in, orthonormal
+from lunarsci.images.cahv import (
+    RANGES,
+    CahvModel,
+    StatedModel,
+    count_of,
+    finite,
+    is_xml,
+    label_of,
+    model_in,
+    orthonormal,
+)
 from lunarsci.images.camera import INTRINSICS, Camera, Pose, StereoRig, covariance_of, rotation_of
 from lunarsci.io.documents import xml_root
 from lunarsci.io.inputs import InputFile
@@ -23,8 +33,6 @@ STEPS = 12
 """Points along each side of a picture that a model is fitted at."""
 FEWEST_POINTS = 50
 """That a fit of 15 numbers rests on: 100 equations, six or seven for each."""
-RANGES = (2.0, 5.0, 20.0)
-"""Ranges of those points, since the pupil of CAHVORE moves. [m]"""
 MOST_TRIES = 100
 """Of a fit; sound models need some ten."""
 RIGHT_ANGLE_DEG = 15.0

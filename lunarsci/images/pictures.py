@@ -138,9 +138,8 @@ def _read_labelled(file: InputFile, label: InputFile) -> Picture:
 
 def _bits_of(label: InputFile) -> int:
     """Bits that the mask of a label leaves, as 2#0000111111111111#; 0 where it has none."""
-    masks = (re.search(r"SAMPLE_BIT_MASK\s*=\s*'?(\d{1,2})#([0-9A-Fa-f]{1,32})#", part) for part in label_parts(label))
-    mask = next((mask for mask in masks if mask and mask[1] in ("2", "16")), None)
-    return min(int(mask[2], int(mask[1])).bit_length(), 16) if mask else 0
+    masks = (re.search(r"SAMPLE_BIT_MASK\s*=\s*'?2#0*(1[01]{0,15})#", part) for part in label_parts(label))
+    return next((len(mask[1]) for mask in masks if mask), 0)
 
 
 def _check_size(file: InputFile) -> None:
