@@ -47,7 +47,11 @@ from lunarsci.spectra.readers.dispatch import read_spectra, recognised
 from lunarsci.spectra.readers.pds import is_pds_label, read_pds_label
 from lunarsci.spectra.readers.table import MAX_PERCENT
 
-CAMERA_LABEL = re.compile(r"^\s*MODEL_COMPONENT_1\s*=|_point_observe_vector>", re.MULTILINE)
+CAMERA_LABEL = re.compile(r"\bMODEL_COMPONENT_1\s*=|_point_observe_vector>|<(?:\w+:)?CAHV\w*_Model>", re.IGNORECASE)
+INSTRUMENT = re.compile(
+    r"\bINSTRUMENT_ID\s*=\s*[\"']?([\w-]+)|<(?:\w+:)?(?:ops_instrument_key|instrument_id)>\s*([^<\s]+)"
+)
+"""Name of a camera in a label."""
 MAP_LABEL = re.compile(r"^\s*OBJECT\s*=\s*\"?IMAGE_MAP_PROJECTION", re.MULTILINE)
 HEIGHT_WORDS = re.compile(
     r"\bUNIT\s*=\s*\"?(?:KILO)?M(?:ET(?:ER|RE)S?)?\b|elevation|topograph|terrain|\bD[TE]M|radius", re.I
@@ -56,6 +60,8 @@ HEIGHT_WORDS = re.compile(
 LARGEST_WHEEL = "lrv"
 """Whose radius no sinkage passes, where the rover is not known."""
 WHEEL_ALONE = "a wheel alone"
+LABELLED = ("images dem", "images dem --rig", "images dem --pose", "images locate", "images cameras")
+"""Commands that take a picture with a label of its camera."""
 M3_IMAGES = {"LOC": "longitude, latitude and radius of each pixel", "OBS": "angles and distances of each pixel"}
 """Images of M3 that lie beside its spectra."""
 NAMES_LISTED = 6
@@ -159,6 +165,7 @@ class FileInfo(Result):
         if self.trouble:
             return []
         of_kind = WHEEL if self.contents.get("parts") == WHEEL_ALONE else KINDS[self.kind].commands
+        of_kind = LABELLED if self.kind == "picture" and "camera" in self.contents else of_kind
         return [f"lunarsci {one}" for one in (*self.further, *of_kind)]
 
     def to_dict(self) -> dict[str, Any]:
@@ -245,6 +252,8 @@ def kind_of(file: InputFile) -> str:
         return magic
     if file.data.startswith(b"SIMPLE  ="):
         return "spectra"
+    if kind := kind_of_product(file):
+        return kind
     if suffix == ".img" and (is_image_of_heights(file.name) or is_envi_of_heights(file.name)):
         return "terrain"
     if suffix in SUFFIXES and not (suffix == ".asc" and not file.data[:5].lower().startswith(b"ncols")):
@@ -367,6 +376,20 @@ def kind_of_rover_file(file: InputFile, start: str) -> str:
     return "rig" if is_rig(file) else "camera"
 
 
+def kind_of_product(file: InputFile) -> str:
+    """`picture` for one with a label of its camera, in it or beside it; `camera` for such a label alone; else ''."""
+    from lunarsci.images.cahv import LABEL_BYTES, label_of
+
+    label = label_of(file)
+    start = "" if label is None else label.data[:LABEL_BYTES].decode("latin-1")
+    if not CAMERA_LABEL.search(start) or "VNIS" in Path(file.name).name.upper():
+        return "picture" if file.data.startswith(b"LBLSIZE") else ""
+    path = Path(file.name)
+    numbers = (path.with_suffix(end) for end in (".IMG", ".img", ".DAT", ".dat", path.suffix[:-1]))
+    beside = any(each != path and each.is_file() for each in numbers)
+    return "picture" if label is not file or b"\0" in file.data or beside else "camera"
+
+
 def is_map_of_heights(label: str) -> bool:
     """Whether a PDS3 label is of a map of heights."""
     return bool(MAP_LABEL.search(label) and HEIGHT_WORDS.search(label))
@@ -430,6 +453,22 @@ def camera_contents(file: InputFile) -> Mapping[str, Any]:
     if "down_deg" in camera:
         contents |= {"looks": f"heading {camera['heading_deg']:.2f}, down {camera['down_deg']:.2f} deg"}
     return contents | {"read as": "; ".join(camera["remarks"]) or "as written"}
+
+
+def _picture(file: InputFile) -> Mapping[str, Any]:
+    """Size, bits and camera of a picture with a label; nothing of any other one."""
+    from lunarsci.images.cahv import LABEL_BYTES, label_of
+    from lunarsci.images.pictures import PLAIN, read_picture
+
+    if file.data.startswith(PLAIN):
+        return {}
+    picture, label = read_picture(file), label_of(file) or file
+    contents: dict[str, Any] = {"size_px": "{} x {}".format(*picture.size), "bits": picture.bits}
+    start = label.data[:LABEL_BYTES].decode("latin-1")
+    if not CAMERA_LABEL.search(start):
+        return contents
+    named = INSTRUMENT.search(start)
+    return {**contents, "camera": "unnamed" if named is None else named[1] or named[2], **camera_contents(file)}
 
 
 def _listed(names: Any) -> str:
@@ -682,7 +721,7 @@ def _result(file: InputFile) -> Mapping[str, Any]:
 CONTENTS: Mapping[str, Callable[[InputFile], Mapping[str, Any]]] = {
     "spectra": _spectra, "library": _spectra, "vnis": _spectra, "cube": _cube, "craters": _craters, "plan": _plan,
     "mission": _mission, "rover": _rover, "soil": _soil, "pose": _pose, "camera": camera_contents, "rig": _rig,
-    "terrain": _terrain,
+    "terrain": _terrain, "picture": _picture,
     "belief": _belief, "soil map": _soil_map, "telemetry": _telemetry, "states": _states, "slips": _states,
     "prior": _prior, "motion": _rows, "positions": _rows, "track": _rows, "soils": _rows, "table": _other_table,
     "result": _result,

@@ -8,7 +8,7 @@ all pixels share.
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +26,8 @@ NEWTON_STEPS = 30
 """At most, from a pixel to its direction."""
 CONVERGED = 1e-12
 """Step of a direction's x and y over z that ends Newton's method. [-]"""
+STEP = 1e-6
+"""Of differences: the third root of what doubles resolve, at which these are best."""
 RELATIVE = (*(f"rotation_{axis}_rad" for axis in "xyz"), *(f"translation_{axis}_m" for axis in "xyz"))
 """How the right camera stands to the left one: a small rotation after that of the rig, and the translation."""
 PARAMETERS = (*(f"left_{n}" for n in INTRINSICS), *(f"right_{n}" for n in INTRINSICS), *RELATIVE)
@@ -52,9 +54,17 @@ class Projection(NamedTuple):
     by_intrinsics: FloatArray
 
 
+class Lens(Protocol):
+    """A distortion that no terms of Brown describe, such as CAHVORE's."""
+
+    def bent(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """x' and y' of `Camera` from x and y; NaN for what the lens does not see. [-]"""
+        ...
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Camera:
-    """A camera with the distortion of Brown (1971), Photogramm. Eng. 37, 855, as OpenCV names its terms.
+    """A camera with the distortion of Brown (1971), Photogramm. Eng. 37, 855, as OpenCV names its terms, or a lens.
 
     With x, y the direction over its z and r^2 = x^2 + y^2,
 
@@ -68,6 +78,7 @@ class Camera:
     fx_px, fy_px : focal length in pixels, > 0. [px]
     cx_px, cy_px : principal point. [px]
     k1, k2, k3, p1, p2 : radial and tangential distortion. [-]
+    lens : makes x' and y' in their place; None where they do.
 
     Raises ParameterError for what no camera can be.
     """
@@ -84,6 +95,7 @@ class Camera:
     k3: float = 0.0
     p1: float = 0.0
     p2: float = 0.0
+    lens: Lens | None = None
 
     def __post_init__(self) -> None:
         positive = min(self.fx_px, self.fy_px) > 0 and min(self.size) >= 2
@@ -148,7 +160,9 @@ class Camera:
         return tuple(math.degrees(math.acos(float(unit[i] @ unit[i + 1]))) for i in (0, 2))  # type: ignore[return-value]
 
     def fold(self) -> float:
-        """Largest r at which the distortion is one to one; inf where it always is. [-]"""
+        """Largest r at which the distortion is one to one; inf where it always is, and of a lens. [-]"""
+        if self.lens is not None:
+            return math.inf
         roots = np.roots([7 * self.k3, 5 * self.k2, 3 * self.k1, 1.0])
         real = roots[np.abs(roots.imag) < 1e-12].real
         return float(np.sqrt(real[real > 0].min())) if (real > 0).any() else math.inf
@@ -171,9 +185,25 @@ class Camera:
         way_m : translation, after the rotation. (3,) [m]
         """
         rotated = np.asarray(turn, dtype=float), np.asarray(way_m, dtype=float)
+        if self.lens is not None:
+            return self._through_lens(points, *rotated)
         pixels, slopes = open_cv().projectPoints(points, *rotated, self.matrix, self.distortion)
         slopes = np.asarray(slopes).reshape(-1, 2, 15)
         return Projection(np.asarray(pixels)[:, 0], slopes[..., :6], slopes[..., [6, 7, 8, 9, 10, 11, 14, 12, 13]])
+
+    def _through_lens(self, points: FloatArray, turn: FloatArray, way_m: FloatArray) -> Projection:
+        """`project_with_derivatives` by the chain rule; those of `_by_xy` and of the rotation by differences."""
+        there = points @ rotation_of(turn).T + way_m
+        x, y = (there[:, :2] / there[:, 2:]).T
+        by_xy = self._by_xy(x, y) * np.array([[self.fx_px], [self.fy_px]])
+        by_point = np.concatenate([by_xy, -(by_xy @ np.stack([x, y], -1)[..., None])], -1) / there[:, 2, None, None]
+        ends = [points @ (rotation_of(turn + step) - rotation_of(turn - step)).T for step in STEP * np.eye(3)]
+        by_turn = by_point @ np.stack(ends, -1) / (2 * STEP)
+        xd, yd = self._distorted(x, y)
+        by_lens = np.zeros((len(points), 2, len(INTRINSICS)))
+        by_lens[:, 0, 0], by_lens[:, 1, 1], by_lens[:, 0, 2], by_lens[:, 1, 3] = xd, yd, 1.0, 1.0
+        pixels = np.stack([self.fx_px * xd + self.cx_px, self.fy_px * yd + self.cy_px], axis=-1)
+        return Projection(pixels, np.concatenate([by_turn, by_point], -1), by_lens)
 
     def rays(self, pixels: npt.ArrayLike) -> FloatArray:
         """Directions (..., 3) with z = 1 of pixels (..., 2), by Newton's method; NaN where the distortion has none."""
@@ -181,8 +211,9 @@ class Camera:
         goal_x = (given[..., 0] - self.cx_px) / self.fx_px
         goal_y = (given[..., 1] - self.cy_px) / self.fy_px
         x, y = goal_x.copy(), goal_y.copy()
-        if self.distortion.any():
-            x, y = self._undistorted(goal_x, goal_y)
+        if self.lens is not None or self.distortion.any():
+            with np.errstate(all="ignore"):
+                x, y = self._undistorted(goal_x, goal_y)
         return np.stack([x, y, np.ones_like(x)], axis=-1)
 
     def sees(self, pixels: npt.ArrayLike, margin_px: float = 0.0) -> npt.NDArray[np.bool_]:
@@ -194,6 +225,8 @@ class Camera:
 
     def _distorted(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """x' and y' of `Camera` from x and y, directions over their z. [-]"""
+        if self.lens is not None:
+            return self.lens.bent(x, y)
         r2 = x * x + y * y
         radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
         across = 2 * x * y
@@ -204,6 +237,9 @@ class Camera:
 
     def _by_xy(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Derivatives of what `_distorted` gives by x and y. (..., 2, 2)"""
+        if self.lens is not None:
+            ends = [(self._distorted(x + h, y + k), self._distorted(x - h, y - k)) for h, k in STEP * np.eye(2)]
+            return np.stack([(np.stack(more, -1) - np.stack(less, -1)) / (2 * STEP) for more, less in ends], -1)
         r2 = x * x + y * y
         radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
         slope = self.k1 + r2 * (2 * self.k2 + 3 * r2 * self.k3)

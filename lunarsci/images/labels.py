@@ -1,11 +1,10 @@
 """Cameras from what comes with a picture: PDS4 labels of Chang'E cameras, and CAHV, CAHVOR and CAHVORE models.
 
-Both say where a camera looked, in their own words. Here a `Camera` (Brown's) and a `Pose` are fitted to that, and by
-how much the fit misses is part of the answer.
+Both say where a camera looked, in their own words. Here a `Camera` and a `Pose` are made of that, and by how much they
+miss it is part of the answer. CAHVOR in photogrammetric terms is of Di & Li (2004), 10.1029/2003JE002199.
 """
 
 import math
-import re
 from dataclasses import dataclass, replace
 from xml.etree.ElementTree import Element
 
@@ -14,30 +13,35 @@ from scipy.spatial.transform import Rotation
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.images.cahv import (
+    RANGES,
+    CahvModel,
+    StatedModel,
+    count_of,
+    finite,
+    is_xml,
+    label_of,
+    model_in,
+    orthonormal,
+)
 from lunarsci.images.camera import INTRINSICS, Camera, Pose, StereoRig, covariance_of, rotation_of
 from lunarsci.io.documents import xml_root
-from lunarsci.io.inputs import InputFile, text
+from lunarsci.io.inputs import InputFile
 from lunarsci.ranges import refuse
 
 STEPS = 12
 """Points along each side of a picture that a model is fitted at."""
 FEWEST_POINTS = 50
 """That a fit of 15 numbers rests on: 100 equations, six or seven for each."""
-RANGES = (2.0, 5.0, 20.0)
-"""Ranges of those points, since the pupil of CAHVORE moves. [m]"""
 MOST_TRIES = 100
 """Of a fit; sound models need some ten."""
-MOST_PX = 100_000
-"""Lines or samples of a picture: a hundred times those of cameras on rovers; assumed."""
 RIGHT_ANGLE_DEG = 15.0
 """How far the line between two centres may lie from the left camera's rows before its frame is doubted; assumed."""
 COARSE_PX = 1.0
 """A fit that misses by more than a pixel says so, as does a calibration; assumed."""
-Z_DOWN = re.compile(r'COORD\w*SYSTEM_NAME\s*=\s*"?(?:ROVER|SITE|LOCAL_LEVEL|LANDER)\w*')
-"""A label whose frame has its z downwards."""
+CLOSE_PX = 0.05
+"""What the terms of Brown may miss a model by before it is used itself: what least squares match at best; assumed."""
 DOWN = "z of the label's frame points down: x, -y, -z of it are told"
-NUMBER = r"[-+]?(?:\d++\.?+\d*+|\.\d++)(?:[eEdD][-+]?\d++)?"
-"""A number of a label."""
 CORNERS = ("up_left", "down_left", "up_right", "down_right", "center")
 """Places of the picture whose directions a label lists."""
 
@@ -62,76 +66,34 @@ class LabelCamera:
     remarks: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CahvModel:
-    """A camera of the CAHV family: centre C, axis A, image vectors H and V, optical axis O, radial R, entrance E.
+def camera_of(model: CahvModel, name: str) -> LabelCamera:
+    """The camera of a model of the CAHV family: Brown-Conrady's where this is near enough, else the model as a lens.
 
-    CAHV is of Yakimovsky & Cunningham (1978), 10.1016/0146-664X(78)90112-0; CAHVOR and CAHVORE of Gennery (2006),
-    10.1007/s11263-006-5168-1; CAHVOR in photogrammetric terms of Di & Li (2004), 10.1029/2003JE002199.
-
-    Attributes
-    ----------
-    vectors : by letter, (3,); C and E in m, H and V in px, the others without unit. O, R and E may be missing.
-    linearity : of CAHVORE: 1 perspective, 0 fish-eye.
-    width_px, height_px : size of its picture. [px]
+    Where the pupil moves with the angle the lens is right at one range, and the residual is that of all `RANGES`.
     """
-
-    vectors: dict[str, FloatArray]
-    width_px: int
-    height_px: int
-    linearity: float = 1.0
-
-    def project(self, points: FloatArray) -> FloatArray:
-        """Pixels (n, 2) of points (n, 3) of the model's frame [m]."""
-        v = self.vectors
-        seen = points - v["C"]
-        if "E" in v:
-            seen = self._bent_entrance(seen)
-        elif "O" in v:
-            along = seen @ v["O"]
-            aside = seen - along[:, None] * v["O"]
-            tau = np.sum(aside**2, axis=1) / along**2
-            seen = seen + aside * (v["R"][0] + v["R"][1] * tau + v["R"][2] * tau**2)[:, None]
-        depth = seen @ v["A"]
-        return np.stack([seen @ v["H"] / depth, seen @ v["V"] / depth], axis=1)
-
-    def _bent_entrance(self, seen: FloatArray) -> FloatArray:
-        """Direction after a pupil that moves along O with the angle theta (Gennery 2006)."""
-        v = self.vectors
-        along = seen @ v["O"]
-        aside = seen - along[:, None] * v["O"]
-        away = np.linalg.norm(aside, axis=1)
-        theta = np.arctan2(away, along)
-        e0, e1, e2 = v["E"]
-        for _ in range(20):
-            t2 = theta**2
-            moved, change = e0 + e1 * t2 + e2 * t2**2, 2 * e1 * theta + 4 * e2 * theta**3
-            sine, cosine = np.sin(theta), np.cos(theta)
-            value = cosine * away - sine * along - (theta - sine) * moved
-            slope = cosine * along + sine * away + (1 - cosine) * moved + (theta - sine) * change
-            theta = theta + value / slope
-        lin = self.linearity
-        chi = theta if abs(lin) < 1e-9 else (np.tan(lin * theta) if lin > 0 else np.sin(lin * theta)) / lin
-        mu = v["R"][0] + v["R"][1] * chi**2 + v["R"][2] * chi**4
-        with np.errstate(divide="ignore", invalid="ignore"):
-            depth = np.where(chi > 0, away / chi, along)
-        return np.asarray(depth[:, None] * v["O"] + (1 + mu)[:, None] * aside)
+    fitted = fit_cahv(model, name)
+    if fitted.residual_max_px <= CLOSE_PX:
+        return fitted
+    camera, pose = _through(model, name)
+    points, pixels = _samples(model, name)
+    left = np.linalg.norm(camera.project(pose.to_camera(points)) - pixels, axis=1)
+    remark = f"{model.title} is used in full, by `lens`: k1 to p2 would miss it by more than {CLOSE_PX:g} px"
+    return replace(
+        fitted,
+        camera=camera,
+        pose=pose,
+        residual_rms_px=float(np.sqrt(np.mean(left**2))),
+        residual_max_px=float(left.max()),
+        remarks=(remark,),
+    )
 
 
 def fit_cahv(model: CahvModel, name: str) -> LabelCamera:
     """The Brown-Conrady camera nearest to a model of the CAHV family, or another lens, over its whole picture at 2, 5
     and 20 m."""
-    v = model.vectors
-    axis = v["A"] / np.linalg.norm(v["A"])
-    across, down = np.cross(np.cross(axis, v["H"]), axis), np.cross(np.cross(axis, v["V"]), axis)
-    focal_x, focal_y = np.linalg.norm(across), np.linalg.norm(down)
-    if not (0 < focal_x < np.inf and 0 < focal_y < np.inf):
-        raise DataError(f"{name}: A, H and V span no picture ({focal_x:g}, {focal_y:g} px); check the label")
-    rotation = orthonormal(np.stack([across / focal_x, np.cross(axis, across / focal_x), axis], axis=1))
-    numbers = dict(zip(INTRINSICS, map(float, (focal_x, focal_y, axis @ v["H"], axis @ v["V"])), strict=False))
-    plain = Camera(name=name, width_px=model.width_px, height_px=model.height_px, **numbers)
-    points, pixels = _samples(model, plain, rotation)
-    begin = Pose(rotation=rotation, center_m=v["C"])
+    points, pixels = _samples(model, name)
+    lens, begin = _through(model, name)
+    plain = replace(lens, lens=None)
     fitted = _fitted(plain, begin, points, pixels, free=slice(0, 9), moves=True)
     pinhole = _fitted(plain, begin, points, pixels, free=slice(0, 4), moves=True)
     remark = f"the fit to its model misses it by {fitted.residual_max_px:.2g} px at most"
@@ -140,6 +102,18 @@ def fit_cahv(model: CahvModel, name: str) -> LabelCamera:
         pinhole_max_px=pinhole.residual_max_px,
         remarks=(remark,) if fitted.residual_max_px > COARSE_PX else (),
     )
+
+
+def _through(model: CahvModel, name: str) -> tuple[Camera, Pose]:
+    """The camera whose lens is a model, and its pose. Raises DataError where A, H and V span no picture."""
+    try:
+        turn, numbers = model.axes()
+        pose = Pose(rotation=turn, center_m=model.vectors["C"])
+        plain = dict(zip(INTRINSICS, map(float, numbers), strict=False))
+        size = {"width_px": model.width_px, "height_px": model.height_px}
+        return Camera(name=name, lens=model.in_its_frame(), **size, **plain), pose  # type: ignore[arg-type]
+    except (ValueError, np.linalg.LinAlgError) as error:
+        raise DataError(f"{name}: {error}") from error
 
 
 def _fitted(
@@ -182,107 +156,42 @@ def _fitted(
     )
 
 
-def _samples(model: CahvModel, plain: Camera, rotation: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Points that the model sees in its picture, and where."""
-    reach = [np.linspace(-0.6 * count, 0.6 * count, 2 * STEPS) for count in (model.width_px, model.height_px)]
-    u, v = np.meshgrid(reach[0], reach[1])
-    rays = np.stack([u / plain.fx_px, v / plain.fy_px, np.ones_like(u)], axis=-1).reshape(-1, 3)
-    points = np.concatenate([model.vectors["C"] + distance * rays @ rotation.T for distance in RANGES])
-    pixels = model.project(points)
-    inside = np.isfinite(pixels).all(axis=1) & plain.sees(np.nan_to_num(pixels, nan=-1e9))
+def _samples(model: CahvModel, name: str) -> tuple[FloatArray, FloatArray]:
+    """Points all over a model's picture, at `RANGES`, and where it sees them. (n, 3) [m], (n, 2) [px]"""
+    camera, pose = _through(model, name)
+    u, v = np.meshgrid(*(np.linspace(-0.5, count - 0.5, STEPS) for count in camera.size))
+    with np.errstate(all="ignore"):
+        rays = camera.rays(np.stack([u, v], axis=-1).reshape(-1, 2))
+        points = np.concatenate([pose.to_world(distance * rays) for distance in RANGES])
+        pixels = model.project(points)
+    inside = np.isfinite(pixels).all(axis=1)
     if inside.sum() < FEWEST_POINTS:
-        raise DataError(f"{plain.name}: its model sees {inside.sum()} points in its own picture; is the label damaged?")
+        raise DataError(f"{name}: its model sees {inside.sum()} points in its own picture; is the label damaged?")
     return points[inside], pixels[inside]
 
 
-def _upright(fitted: LabelCamera, content: str) -> LabelCamera:
-    """A camera in a frame whose z is up.
-
-    Frames of rovers and sites have z down (Maki et al. 2003, 10.1029/2003JE002077, for MER; MSL and Mars 2020 as well).
-    Where a label names none of these the picture is held for upright.
-    """
-    if not (Z_DOWN.search(content) or fitted.pose.rotation[2, 1] > 0):
-        return fitted
-    turn = np.diag([1.0, -1.0, -1.0])
+def _upright(fitted: LabelCamera, stated: StatedModel) -> LabelCamera:
+    """A camera in a frame whose z is up; where nothing tells which way that is the picture is held for upright."""
+    turn, remarks = stated.turn, (*fitted.remarks, *stated.remarks)
+    if turn is None and fitted.pose.rotation[2, 1] > 0:
+        turn, remarks = np.diag([1.0, -1.0, -1.0]), (*remarks, DOWN)
+    if turn is None:
+        return replace(fitted, remarks=remarks)
     pose = Pose(rotation=turn @ fitted.pose.rotation, center_m=turn @ fitted.pose.center_m)
-    return replace(fitted, pose=pose, remarks=(*fitted.remarks, DOWN))
-
-
-def _cahv_of(name: str, content: str) -> CahvModel:
-    vectors = _components(content)
-    width = _first_number(content, ("LINE_SAMPLES", "xdim", "NS"))
-    height = _first_number(content, ("LINES", "ydim", "NL"))
-    halves = {"O", "R"} & vectors.keys()
-    reasons = {
-        "no camera model; a label needs C, A, H and V, or the pointing of a PDS4 label":
-            not {"C", "A", "H", "V"} <= vectors.keys(),
-        f"a CAHVOR model needs O and R, not {''.join(halves)} alone": len(halves) == 1,
-        "the size of the picture is missing; add LINES = … and LINE_SAMPLES = …": width is None or height is None,
-    }  # fmt: skip
-    refuse(reasons, name, DataError)
-    kind = _first_number(content, ("MODEL_TYPE_PARAMETER", "MPARM", "T"))
-    vectors["O"] = vectors["O"] / np.linalg.norm(vectors["O"]) if "O" in vectors else vectors["A"]
-    vectors.setdefault("R", np.zeros(3))
-    return CahvModel(
-        vectors=vectors,
-        width_px=count_of(name, width, "samples"),
-        height_px=count_of(name, height, "lines"),
-        linearity=1.0 if kind is None else kind,
-    )
-
-
-def _components(content: str) -> dict[str, FloatArray]:
-    """Vectors by letter: MODEL_COMPONENT_1 = (…) of PDS3 in the order of MODEL_COMPONENT_ID, or lines C = x y z."""
-    unit = r"(?:\s*<[^<>]*>)?"
-    triple = rf"\(?\s*({NUMBER}){unit}[\s,]++({NUMBER}){unit}[\s,]++({NUMBER})"
-    listed = re.search(r"MODEL_COMPONENT_ID\s*=\s*\(([^)]*)\)", content)
-    letters = re.findall(r"\w+", listed[1]) if listed else "CAHVORE"
-    vectors: dict[str, FloatArray] = {}
-    for index, letter in enumerate(letters, start=1):
-        start = rf"MODEL_COMPONENT_{index}" if listed else rf"^[ \t]*+{letter}"
-        if letter not in vectors and (cells := re.search(rf"{start}\s*=\s*{triple}", content, re.MULTILINE)):
-            vectors[letter] = np.array([float(cell.upper().replace("D", "E")) for cell in cells.groups()])
-    return vectors
-
-
-def _first_number(content: str, names: tuple[str, ...]) -> float | None:
-    cells = (re.search(rf"^[ \t]*+{key}\s*=\s*({NUMBER})", content, re.MULTILINE) for key in names)
-    return next((float(match[1]) for match in cells if match), None)
-
-
-def orthonormal(matrix: FloatArray) -> FloatArray:
-    """The orthogonal matrix nearest to one. (3, 3)"""
-    left, _, right = np.linalg.svd(matrix)
-    return np.asarray(left @ right)
-
-
-def count_of(name: str, cell: str | float | None, what: str) -> int:
-    """A number of pixels. Raises DataError for text, parts of one, and what no picture has."""
-    count = finite(name, what, str(cell))
-    if not (1 <= count <= MOST_PX and count.is_integer()):
-        raise DataError(f"{name}: its {what} are {cell}; a picture has 1 to {MOST_PX}")
-    return int(count)
-
-
-def finite(name: str, tag: str, cell: str) -> float:
-    try:
-        value = float(cell)
-    except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
-        raise DataError(f"{name}: {tag} is '{cell}', no number; fetch it again")
-    return value
+    return replace(fitted, pose=pose, remarks=remarks)
 
 
 def read_label(file: InputFile) -> LabelCamera:
-    """The camera of a PDS4 label, a PDS3 label with a CAHV model, or a text of `C = …, A = …` (VICAR).
+    """The camera of a picture with a label of PDS3, VICAR or PDS4, of such a label, or of a text of `C = …, A = …`.
 
-    Raises DataError for what has none, and names what is missing.
+    The label is in the file, or beside it. Raises DataError for what has none, and names what is missing.
     """
-    content = text(file)
-    if content.lstrip().startswith("<"):
-        return _from_pds4(file.name, content)
-    return _upright(fit_cahv(_cahv_of(file.name, content), file.name), content)
+    label = label_of(file) or file
+    if stated := model_in(label):
+        return _upright(camera_of(stated.model, file.name), stated)
+    if is_xml(label):
+        return _from_pds4(label.name, label.data)
+    raise DataError(f"{file.name}: no camera model; a label needs C, A, H and V, or the pointing of a PDS4 label")
 
 
 def rig_of_labels(left: InputFile, right: InputFile) -> StereoRig:
@@ -322,8 +231,8 @@ def rig_of_labels(left: InputFile, right: InputFile) -> StereoRig:
 # --- PDS4 labels of the Ground Research and Application System (CLPDS) ---
 
 
-def _from_pds4(name: str, content: str) -> LabelCamera:
-    root = xml_root(name, content.encode())
+def _from_pds4(name: str, data: bytes) -> LabelCamera:
+    root = xml_root(name, data)
     width, height = _size(name, root)
     pitch, length = (_number(name, root, tag) for tag in ("pixel_size", "focal_length"))
     vectors = {corner: _vector(name, root, f"{corner}_point_observe_vector") for corner in CORNERS}

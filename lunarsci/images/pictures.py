@@ -1,9 +1,10 @@
-"""Pictures as grey numbers: PNG, TIFF and JPEG of 8 to 16 bits, and raw frames of PDS4 labels."""
+"""Pictures as grey numbers: PNG, TIFF and JPEG of 8 to 16 bits, and products with labels of PDS3, VICAR and PDS4."""
 
 import io
 import math
 import re
 import warnings
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,12 +15,15 @@ from scipy.ndimage import convolve
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.images.cahv import LABEL_BYTES, is_xml, label_of, label_parts
 from lunarsci.io.documents import xml_root
 from lunarsci.io.inputs import InputFile, read_input, unheard
 from lunarsci.ranges import refuse
 
-LABELS = (".2bl", ".2cl", ".2al", ".xml")
-"""Ends of names of PDS4 labels; those of the Chinese archive end in an l after the end of the raw file."""
+CHINESE = re.compile(r"\.2[abc]l", re.IGNORECASE)
+"""Ends of names of PDS4 labels of the Chinese archive: an l after the end of the raw file."""
+PLAIN = (b"\x89PNG", b"\xff\xd8", b"II*\0", b"MM\0*")
+"""Begins of PNG, JPEG and TIFF."""
 RAW_TYPES = {
     "UnsignedByte": "u1",
     "UnsignedLSB2": "<u2",
@@ -30,7 +34,7 @@ RAW_TYPES = {
 """Types of numbers of PDS4 labels, as NumPy calls them."""
 MOST_PIXELS = 50_000_000
 """Of a picture, with all colours of a raw one: it takes 0.4 GB as numbers, and reading it five times as much."""
-NO_PICTURE = "no picture that can be read; give PNG, TIFF, JPEG or a PDS4 label"
+NO_PICTURE = "no picture that can be read; give PNG, TIFF, JPEG, or a product with a label of PDS3, VICAR or PDS4"
 FLAT = 4.0
 """A picture whose values spread less over their bits than this share of a thousand shows nothing; assumed."""
 TOO_LARGE = f"a picture of more than {MOST_PIXELS / 1e6:.0f} million pixels; cut out the part that is wanted"
@@ -44,7 +48,7 @@ class Picture:
     ----------
     source : the file it was read from.
     values : (height, width), counted from 0, in the numbers of the file.
-    bits : how many it was counted with: 8, or 10, 12, 14 or 16 by its largest number.
+    bits : how many it was counted with: those of its label's bit mask, 8, or 10, 12, 14 or 16 by its largest number.
     """
 
     source: InputFile
@@ -73,14 +77,17 @@ class Picture:
 
 
 def read_picture(source: str | Path | InputFile) -> Picture:
-    """Read a picture; colours become grey, Bayer mosaics too.
+    """Read a picture; colours become grey, Bayer mosaics of the Chinese archive too.
 
-    A PDS4 label names its raw file, which must lie beside it. Raises DataError for what is none, and ParameterError
-    without OpenCV.
+    A label of PDS3, VICAR or PDS4 is in the file or lies beside it, and names the raw file where it is alone. Raises
+    DataError for what is none, and ParameterError without OpenCV, or rasterio for such labels.
     """
     file = read_input(source)
-    if Path(file.name).suffix.lower() in LABELS or file.data.lstrip()[:5] == b"<?xml":
-        return _read_pds4(file)
+    label = None if file.data.startswith(PLAIN) else label_of(file)
+    if label is not None and is_xml(label) and CHINESE.fullmatch(Path(label.name).suffix):
+        return _read_pds4(label)
+    if label is not None:
+        return _read_labelled(file, label)
     cv2 = open_cv()
     _check_size(file)
     with unheard():
@@ -92,12 +99,47 @@ def read_picture(source: str | Path | InputFile) -> Picture:
     return _picture(file, values)
 
 
-def _picture(file: InputFile, values: npt.NDArray[Any]) -> Picture:
+def _picture(file: InputFile, values: npt.NDArray[Any], bits: int = 0) -> Picture:
     if values.dtype not in (np.uint8, np.uint16, np.int16):
         raise DataError(f"{file.name}: numbers of type {values.dtype}; give a picture of 8 or 16 bits")
     top = int(values.max(initial=0))
-    bits = 8 if values.dtype == np.uint8 else next(bits for bits in (10, 12, 14, 16) if top < 2**bits)
-    return Picture(source=file, values=np.maximum(values, 0).astype(np.float64), bits=bits)
+    counted = 8 if values.dtype == np.uint8 else next(bits for bits in (10, 12, 14, 16) if top < 2**bits)
+    return Picture(source=file, values=np.maximum(values, 0).astype(np.float64), bits=max(bits, counted))
+
+
+def _read_labelled(file: InputFile, label: InputFile) -> Picture:
+    """A picture that GDAL reads by its label: VICAR's where the file has one, PDS4 or PDS3."""
+    try:
+        import rasterio
+        from rasterio.errors import RasterioError
+    except ImportError as error:
+        raise ParameterError(
+            f"{file.name}: labels of PDS and VICAR need rasterio; pip install 'lunarsci[cubes]'"
+        ) from error
+    vicar = file.data.find(b"LBLSIZE", 0, LABEL_BYTES) if label is file else -1
+    driver = "PDS4" if is_xml(label) else "VICAR" if vicar >= 0 else "PDS"
+    attached = driver == "VICAR" or (label is file and not Path(label.name).exists())
+    try:
+        with ExitStack() as opened:
+            opened.enter_context(unheard())
+            opened.enter_context(warnings.catch_warnings(action="ignore"))
+            memory = opened.enter_context(rasterio.MemoryFile(file.data[max(vicar, 0) :])) if attached else None
+            raster = opened.enter_context(
+                memory.open(driver=driver) if memory else rasterio.open(label.name, driver=driver)
+            )
+            if not 0 < raster.width * raster.height * raster.count <= MOST_PIXELS:
+                raise DataError(f"{file.name}: {TOO_LARGE}")
+            frame = raster.read()
+    except (RasterioError, ValueError, MemoryError) as error:
+        raise DataError(f"{file.name}: {NO_PICTURE} ({driver}: {error.__cause__ or error})") from error
+    grey = frame[0] if len(frame) == 1 else frame.mean(axis=0).astype(frame.dtype)
+    return _picture(file, grey, _bits_of(label))
+
+
+def _bits_of(label: InputFile) -> int:
+    """Bits that the mask of a label leaves, as 2#0000111111111111#; 0 where it has none."""
+    masks = (re.search(r"SAMPLE_BIT_MASK\s*=\s*'?2#0*(1[01]{0,15})#", part) for part in label_parts(label))
+    return next((len(mask[1]) for mask in masks if mask), 0)
 
 
 def _check_size(file: InputFile) -> None:

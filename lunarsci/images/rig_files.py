@@ -22,6 +22,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.images import LengthUnit
+from lunarsci.images.cahv import CahvModel, count_of, is_product, label_of, orthonormal
 from lunarsci.images.camera import (
     INTRINSICS,
     PARAMETERS,
@@ -35,7 +36,7 @@ from lunarsci.images.camera import (
     rotation_of,
     vector_of,
 )
-from lunarsci.images.labels import COARSE_PX, CahvModel, count_of, fit_cahv, orthonormal, rig_of_labels
+from lunarsci.images.labels import COARSE_PX, fit_cahv, read_label, rig_of_labels
 from lunarsci.images.pictures import open_cv
 from lunarsci.io.documents import json_document, toml_document, xml_root, yaml_document
 from lunarsci.io.inputs import InputFile, beginning, read_input, text
@@ -281,6 +282,8 @@ class _LensModel(CahvModel):
 def tree_of(file: InputFile) -> Mapping[str, Any] | None:
     """The keys of a file of YAML or of OpenCV's XML that has cameras, or a way from one to the other; None of any
     other one. Raises DataError for one that is broken."""
+    if is_product(file):
+        return None
     start = beginning(file)
     try:
         if written := _written(file, start):
@@ -642,7 +645,9 @@ def _twin(plain: Mapping[str, Any]) -> Camera:
 
 def _camera(table: Mapping[str, Any], name: str) -> Camera:
     numbers = {key: float(table[key] if index < 4 else table.get(key, 0.0)) for index, key in enumerate(INTRINSICS)}
-    return Camera(name=name, width_px=int(table["width_px"]), height_px=int(table["height_px"]), **numbers)
+    size = int(table["width_px"]), int(table["height_px"])
+    lens = CahvModel.of_table(table["lens"], size) if "lens" in table else None
+    return Camera(name=name, width_px=size[0], height_px=size[1], lens=lens, **numbers)
 
 
 def _covariance(plain: Mapping[str, Any]) -> Any:
@@ -695,6 +700,7 @@ def _covariance_lines(names: Sequence[str], covariance: FloatArray) -> list[str]
 
 def _camera_lines(table: str, camera: Camera) -> list[str]:
     numbers = [f"{key} = {float(getattr(camera, key))!r}" for key in INTRINSICS]
+    numbers += [f"lens = {camera.lens.toml()}"] if isinstance(camera.lens, CahvModel) else []
     return [f"[{table}]", f"width_px = {camera.width_px}", f"height_px = {camera.height_px}", *numbers]
 
 
@@ -716,11 +722,14 @@ def check_rig_of(rig: StereoRig, width_px: int, height_px: int, name: str) -> No
 
 
 def read_pose(source: str | InputFile) -> Pose:
-    """The pose of a left camera: TOML with position_m, heading_deg, down_deg and, if it is not 0, roll_deg.
+    """The pose of a left camera: TOML with position_m, heading_deg, down_deg and, if it is not 0, roll_deg; or that of
+    the label of its picture.
 
     Raises DataError.
     """
     file = read_input(source)
+    if label_of(file):
+        return read_label(file).pose
     with _read_from(file.name, "a pose has position_m, heading_deg and down_deg"):
         table = toml_document(text(file))
         roll = float(table.get("roll_deg", 0.0))

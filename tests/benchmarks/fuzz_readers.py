@@ -492,6 +492,21 @@ def label(
 
 CAHV = (b"NS = 1024\nNL = 1024\nC = 1.0 0.2 -1.0\nA = 0.0 0.0 1.0\nH = 1200.0 0.0 511.0\nV = 0.0 1200.0 512.0\n"
         b"O = 0.0 0.0 1.0\nR = 0.0001 -0.1 0.03\n")  # fmt: skip
+FISHEYE = (
+    b"MODEL_TYPE='CAHVORE'  MODEL_COMPONENT_ID=('C','A','H','V','O','R','E','T','P')  "
+    b"MODEL_COMPONENT_1=(0.6,-0.04,-0.2)  "
+    b"MODEL_COMPONENT_2=(0.703447,-0.005161,0.710729)  MODEL_COMPONENT_3=(351.362,452.204,353.494)  "
+    b"MODEL_COMPONENT_4=(35.8065,-1.75143,682.705)  MODEL_COMPONENT_5=(0.704402,-0.006062,0.709775)  "
+    b"MODEL_COMPONENT_6=(3e-06,-0.012015,-0.007525)  MODEL_COMPONENT_7=(0.001442,0.001522,0.000483)  "
+    b"MODEL_COMPONENT_8=3.0  MODEL_COMPONENT_9=0.37  REFERENCE_COORD_SYSTEM_NAME='ROVER_FRAME'  "
+)
+VICAR = (
+    b"FORMAT='BYTE'  TYPE='IMAGE'  BUFSIZ=32  DIM=3  EOL=0  RECSIZE=32  ORG='BSQ'  NL=24  NS=32  NB=1  N1=32  N2=24  "
+    b"N3=1  N4=0  NBB=0  NLB=0  HOST='X86-LINUX'  INTFMT='LOW'  REALFMT='RIEEE'  SAMPLE_BIT_MASK='2#11111111#'  "
+    b"PROPERTY='ROVER_COORDINATE_SYSTEM'  COORDINATE_SYSTEM_NAME='ROVER_FRAME'  "
+    b"ORIGIN_ROTATION_QUATERNION=(0.994261,-0.095668,-0.0233068,0.0418276)  PROPERTY='GEOMETRIC_CAMERA_MODEL'  "
+)
+"""Labels of VICAR and of its camera, with the numbers of MER's hazard camera."""
 POSE = (b"position_m = [0.0, 0.0, 1.5]\nheading_deg = 10.0\ndown_deg = 15.0\ntime_s = 5.0\nyaw_deg = 10.0\n"
         b"pitch_deg = 1.0\nroll_deg = 0.0\n")  # fmt: skip
 RAW_LABEL = (
@@ -544,7 +559,13 @@ def picture_readers() -> dict[str, Reader]:
         **{f"picture {kind}": Reader(of_picture, [f"spoilt.{kind}"], [shown[kind]])
            for kind in ("png", "tiff", "jpeg")},
         "picture PDS4": Reader(of_picture, ["PCAM-C-1.2BL", "PCAM-C-1.2B"], [RAW_LABEL + BETWEEN + shown["raw"]]),
+        "picture VICAR": Reader(of_picture, ["spoilt.VIC"],
+                                [b"LBLSIZE=1600  " + (VICAR + FISHEYE).ljust(1586, b"\0") + shown["raw"]]),
         "camera label": Reader(of_path("images.jobs.cameras:cameras"), ["spoilt.2BL"], [label()]),
+        "camera CAHVORE": Reader(of_path("images.jobs.cameras:cameras"), ["spoilt.lbl"],
+                                 [b"PDS_VERSION_ID = PDS3\nGROUP = G\n" + FISHEYE.replace(b"  ", b"\n")
+                                  + b"END_GROUP = G\nOBJECT = IMAGE\n LINES = 1024\n LINE_SAMPLES = 1024\nEND\n",
+                                  b"LBLSIZE=1600  " + (VICAR + FISHEYE).ljust(1586, b"\0")]),
         "camera CAHVOR": Reader(of_path("images.jobs.cameras:cameras"), ["spoilt.lbl"], [CAHV]),
         "camera": Reader(of_path("images.jobs.cameras:cameras"), ["spoilt.toml"], [alone.encode()]),
         "camera YAML": Reader(of_path("images.jobs.cameras:cameras"), ["spoilt.yaml"],

@@ -141,7 +141,7 @@ def test_every_kind_is_told_somehow_and_says_what_is_in_it() -> None:
         "camera",
     }
     assert told == KINDS.keys()
-    assert KINDS.keys() - CONTENTS.keys() == {"mgm", "config", "zones", "picture"}
+    assert KINDS.keys() - CONTENTS.keys() == {"mgm", "config", "zones"}
 
 
 def test_commands_that_info_names_exist() -> None:

@@ -37,7 +37,7 @@ SOURCES = [
 ]
 SIDES = ("left", "right")
 """Names of the pictures in a station's folder, without their endings."""
-ENDINGS = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
+ENDINGS = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".img", ".IMG", ".vic", ".VIC", ".xml")
 """Ends of names of pictures, in the order they are looked for."""
 FIRST_M = 0.001
 """Error of the first place in the table, which is exact by definition: readers need one above 0; assumed."""
