@@ -26,8 +26,8 @@ MAST_ERROR, MAST_UNKNOWN = 0.1, 0.5
 """Errors of the mast's height where a rig states it, by its load and what its wheels stand on, and where it does not,
 as shares: assumed."""
 UNSTATED = (0.01, 1e-3)
-"""Errors of a rig that states none: of lengths, focal and of the baseline, as shares, and of the rotation [rad]; by as
-much do halves of five public sets of chessboards differ."""
+"""Errors of a rig that states none: of lengths, focal and of the baseline, as shares, and of the rotation [rad];
+measured: by as much do halves of five public sets of chessboards differ."""
 LIKE = 0.8
 """Distance of a feature from the likest over that from the second likest one (Lowe 2004)."""
 LOOKED_PX = 512 * 512
@@ -35,7 +35,7 @@ LOOKED_PX = 512 * 512
 NEWTON_STEPS = 3
 """Of the size of a gross error: observations are nearly linear in it."""
 FEWEST = 50
-"""Ties below which pictures say nothing of a rig; assumed."""
+"""CommonFeatures below which pictures say nothing of a rig; assumed."""
 COMMON = 1.5
 """Errors of the terms of rows over those by their scatter: measured on 14 rendered pairs with their true rigs."""
 ROW_PX = 3.0
@@ -47,7 +47,7 @@ NEAREST = 0.25
 OTHER = "no single error explains it: the rig is another one, or the rover moved between the pictures"
 
 
-class Ties(NamedTuple):
+class CommonFeatures(NamedTuple):
     """Places of n features in the left and in the right picture. (n, 2) each [px]"""
 
     left: FloatArray
@@ -102,27 +102,27 @@ class Reliability:
         return {**asdict(self), "causes": list(self.causes)}
 
 
-def ties_of(left: Picture, right: Picture) -> Ties:
+def ties_of(left: Picture, right: Picture) -> CommonFeatures:
     """Features of the left picture with the likest ones of the right picture."""
-    cv2, found, places = open_cv(), [], []
+    cv2, words, places = open_cv(), [], []
     sift = cv2.SIFT_create(nfeatures=2000, contrastThreshold=0.01)
     share = min(1.0, math.sqrt(LOOKED_PX / left.values.size))
     for picture in (left, right):
         light = np.sqrt(picture.values / max(float(np.percentile(picture.values, 99.5)), 1.0))
         eight = np.clip(255 * light, 0, 255).astype(np.uint8)
-        keys, words = sift.detectAndCompute(
+        keys, one = sift.detectAndCompute(
             cv2.resize(eight, None, fx=share, fy=share, interpolation=cv2.INTER_AREA), None
         )
         if len(keys) < FEWEST:
-            return Ties(np.empty((0, 2)), np.empty((0, 2)))
-        found.append(words)
+            return CommonFeatures(np.empty((0, 2)), np.empty((0, 2)))
+        words.append(one)
         places.append((np.asarray(cv2.KeyPoint_convert(keys), dtype=float) + 0.5) / share - 0.5)
-    pairs = cv2.BFMatcher().knnMatch(*found, k=2)
+    pairs = cv2.BFMatcher().knnMatch(*words, k=2)
     good = [best for best, second in pairs if best.distance < LIKE * second.distance]
-    return Ties(places[0][[one.queryIdx for one in good]], places[1][[one.trainIdx for one in good]])
+    return CommonFeatures(places[0][[one.queryIdx for one in good]], places[1][[one.trainIdx for one in good]])
 
 
-def _apart(rig: StereoRig, ties: Ties) -> FloatArray:
+def _apart(rig: StereoRig, ties: CommonFeatures) -> FloatArray:
     """Place of each tie in the rectified left picture, about its middle in widths, and its disparity and the distance
     of its rows there; NaN for none. (n, 4) [-, -, px, px]"""
     along = -rig.rotation.T @ rig.translation_m / rig.baseline_m
@@ -159,15 +159,15 @@ QUARTERS = {
 """The same of square pictures."""
 
 
-def check_sides(rig: StereoRig, ties: Ties, names: str) -> None:
+def check_sides(rig: StereoRig, ties: CommonFeatures, names: str) -> None:
     """Raise DataError where ties lie in rows, and ahead, only once a picture is turned or both are exchanged."""
     size = rig.left.size
     tries = {"": ties, "left and right are swapped, or both are upside down; give the left one first": ties[::-1]}
     for (one, two), text in (TURNS | (QUARTERS if size[0] == size[1] else {})).items():
-        tries[text] = Ties(_turned(ties.left, size, one), _turned(ties.right, size, two))
+        tries[text] = CommonFeatures(_turned(ties.left, size, one), _turned(ties.right, size, two))
     scatter = {}
     for text, (left, right) in tries.items():
-        apart = _apart(rig, Ties(left, right))
+        apart = _apart(rig, CommonFeatures(left, right))
         apart = apart[np.isfinite(apart).all(axis=1)]
         rows = apart[apart[:, 2] > -ROW_PX, 3]
         if 2 * len(rows) > len(apart) >= FEWEST:
@@ -177,7 +177,7 @@ def check_sides(rig: StereoRig, ties: Ties, names: str) -> None:
         raise DataError(f"{names}: do not match as they are: {likeliest}")
 
 
-def _ground(rig: StereoRig, ties: Ties, pose: Pose | None) -> tuple[FloatArray, float]:
+def _ground(rig: StereoRig, ties: CommonFeatures, pose: Pose | None) -> tuple[FloatArray, float]:
     """Height of the left camera over the plane of its near ground [m], and with a pose the plane's slopes to the right
     and ahead [-]; and how far ahead this ground is [m]."""
     points = rig.triangulate(*ties).points
@@ -213,25 +213,30 @@ def _prior(rig: StereoRig) -> FloatArray:
     return np.diag(sigma**2)
 
 
-def _observed(rig: StereoRig, ties: Ties, pose: Pose | None, tilt_deg: float) -> _Observed | None:
+def _observed(rig: StereoRig, ties: CommonFeatures, pose: Pose | None, tilt_deg: float) -> _Observed | None:
     """Observations of ties whose rows agree, with the covariance of their own errors and of the ground's form; None
     where these are too few to say."""
     apart = _apart(rig, ties)
     seen = np.isfinite(apart).all(axis=1)
     if seen.sum() < FEWEST:
         return None
-    ties, apart = Ties(ties.left[seen], ties.right[seen]), apart[seen]
+    ties, apart = CommonFeatures(ties.left[seen], ties.right[seen]), apart[seen]
     design = _rows_design(apart)
     plane, weight = robust_fit(design, apart[:, 3])
     good = (weight > 0) & (apart[:, 2] > 0)
     if good.sum() < FEWEST:
         return None
-    ties, design, apart, weight = Ties(ties.left[good], ties.right[good]), design[good], apart[good], weight[good]
+    ties, design, apart, weight = (
+        CommonFeatures(ties.left[good], ties.right[good]),
+        design[good],
+        apart[good],
+        weight[good],
+    )
     root = np.sqrt(weight)[:, None]
     scatter = robust_scatter(apart[:, 3] - design @ plane)
     inverse = np.linalg.inv((design * root).T @ (design * root))
     near = apart[:, 2] >= np.quantile(apart[:, 2], 1 - NEAREST)
-    ground = Ties(ties.left[near], ties.right[near])
+    ground = CommonFeatures(ties.left[near], ties.right[near])
 
     def of(one: StereoRig) -> FloatArray:
         rows = _apart(one, ties)[:, 3]
@@ -286,7 +291,7 @@ def _size(left: Callable[[float], FloatArray], step: float, inverse: FloatArray)
     return x, float(left(x) @ inverse @ left(x))
 
 
-def reliability(rig: StereoRig, ties: Ties, pose: Pose | None, tilt_deg: float) -> Reliability | None:
+def reliability(rig: StereoRig, ties: CommonFeatures, pose: Pose | None, tilt_deg: float) -> Reliability | None:
     """Whether rig, mast and pose can be those of the pictures of some ties; None where these are too few to say.
 
     `tilt_deg` is the standard deviation of the pose's angles below the horizon and about its axis. [deg]

@@ -8,7 +8,7 @@ import pytest
 
 from lunarsci.images.camera import Camera, Pose, StereoRig, covariance_of, rotation_of
 from lunarsci.images.pictures import Picture
-from lunarsci.images.reliability import Reliability, Ties, reliability, ties_of
+from lunarsci.images.reliability import CommonFeatures, Reliability, reliability, ties_of
 from lunarsci.images.render import Landscape, landscape_on, render
 from lunarsci.io.inputs import InputFile
 
@@ -37,8 +37,8 @@ def ground(seed: int) -> Landscape:
     )  # fmt: skip
 
 
-def seen(seed: int, step_m: float = 0.0) -> Ties:
-    """Ties of a pair of a rig that is drawn; the rover moves on between left and right picture."""
+def seen(seed: int, step_m: float = 0.0) -> CommonFeatures:
+    """CommonFeatures of a pair of a rig that is drawn; the rover moves on between left and right picture."""
     drawn = the_rig().drawn(np.random.default_rng(seed))
     pair = render(ground(seed), drawn, POSE, seed=seed)
     right = pair.right
@@ -52,17 +52,17 @@ def seen(seed: int, step_m: float = 0.0) -> Ties:
 
 
 @pytest.fixture(scope="module")
-def ties() -> Ties:
+def ties() -> CommonFeatures:
     return seen(3)
 
 
-def said(ties: Ties, rig: StereoRig, pose: Pose | None = POSE) -> Reliability:
+def said(ties: CommonFeatures, rig: StereoRig, pose: Pose | None = POSE) -> Reliability:
     found = reliability(rig, ties, pose, 0.3)
     assert found is not None
     return found
 
 
-def test_the_rig_that_took_the_pictures_is_not_doubted(ties: Ties) -> None:
+def test_the_rig_that_took_the_pictures_is_not_doubted(ties: CommonFeatures) -> None:
     for one in (ties, seen(4)):
         for pose in (POSE, None):
             found = said(one, the_rig(), pose)
@@ -97,7 +97,7 @@ def lower(rig: StereoRig) -> StereoRig:
     ],
 )
 def test_a_wrong_rig_is_doubted_and_the_right_size_is_among_the_causes(
-    ties: Ties, change: Callable[[StereoRig], StereoRig], cause: str, size: float
+    ties: CommonFeatures, change: Callable[[StereoRig], StereoRig], cause: str, size: float
 ) -> None:
     head, *causes = said(ties, change(the_rig())).doubts()
     assert "contradict rig, mast or pose" in head
@@ -106,7 +106,7 @@ def test_a_wrong_rig_is_doubted_and_the_right_size_is_among_the_causes(
     assert float(mine.split(before)[1].split(after)[0]) == pytest.approx(size, rel=0.12)
 
 
-def test_a_mast_or_a_pose_that_is_wrong_is_named(ties: Ties) -> None:
+def test_a_mast_or_a_pose_that_is_wrong_is_named(ties: CommonFeatures) -> None:
     causes = said(ties, replace(the_rig(), mast_height_m=3.5)).causes
     assert any("higher over the ground than 3.5 m" in one for one in causes)
     tilted = Pose.looking([0.0, 0.0, 1.5], 2.0, -28.0, 1.0)
@@ -119,5 +119,5 @@ def test_a_rover_that_moved_by_a_centimetre_is_noticed() -> None:
     assert any("the rover moved between the pictures" in one for one in found.doubts())
 
 
-def test_too_few_ties_say_nothing(ties: Ties) -> None:
-    assert reliability(the_rig(), Ties(ties.left[:20], ties.right[:20]), POSE, 0.3) is None
+def test_too_few_ties_say_nothing(ties: CommonFeatures) -> None:
+    assert reliability(the_rig(), CommonFeatures(ties.left[:20], ties.right[:20]), POSE, 0.3) is None
