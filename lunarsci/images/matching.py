@@ -18,6 +18,7 @@ from lunarsci.compiled import compiled, each_in_threads
 from lunarsci.errors import DataError
 from lunarsci.images.camera import StereoRig
 from lunarsci.images.pictures import Picture, open_cv
+from lunarsci.images.reliability import check_sides, ties_of
 from lunarsci.ranges import refuse
 from lunarsci.result import Progress
 
@@ -50,9 +51,7 @@ FEWEST = 0.1
 """Share of pixels that must match before anything is said of a pair; assumed."""
 ALIKE = 0.999
 """Correlation of two pictures, pixel on pixel, from which they are one: assumed. Two views of ground are below 0.9."""
-LEAST_SHARE = 0.4
-"""Share that must match before a trial is believed: pictures of two places, turned, may match by their parallax.
-Assumed."""
+TOO_FEW = f"less than {FEWEST:.0%} of the pixels match; are they of one place, one moment and this rig?"
 LARGEST_ROW_PX = 3.0
 """Rows that are farther apart are of another rig; assumed."""
 UNEVEN_PX = 0.45
@@ -396,7 +395,8 @@ def match(
     span = frame.focal_px * frame.baseline_m / nearest_m, frame.focal_px * frame.baseline_m / farthest_m
     first = _semi_global(pictures, span)
     if np.isfinite(first).mean() < FEWEST:
-        raise DataError(f"{names}: {_matter(left, right, frame, span)}")
+        check_sides(rig, ties_of(left, right), names)
+        raise DataError(f"{names}: {TOO_FEW}")
     report(2, 5)
     offset, moved = _rows_in_line(pictures, first, names)
     report(3, 5)
@@ -405,7 +405,8 @@ def match(
     reason = _reasons(pictures, full, first, refined, frame)
     reason[(reason == MATCHED) & _islands(np.where(reason == MATCHED, refined.disparity, np.nan))] = ISLAND
     if (reason == MATCHED).mean() < FEWEST:
-        raise DataError(f"{names}: {_matter(left, right, frame, span)}")
+        check_sides(rig, ties_of(left, right), names)
+        raise DataError(f"{names}: {TOO_FEW}")
     disparity = np.where(reason == MATCHED, refined.disparity, np.nan)
     parts = CORRELATED * refined.sigma, RELIEF * _relief(disparity), SMALLEST_SIGMA_PX
     report(5, 5)
@@ -574,36 +575,3 @@ def _relief(disparity: FloatArray) -> FloatArray:
     du, dv = mean(disparity * u) - md * mu, mean(disparity * v) - md * mv
     variance = dd - du**2 / np.maximum(uu, 1e-9) - dv**2 / np.maximum(vv, 1e-9)
     return np.sqrt(np.maximum(variance, 0.0))
-
-
-def _matter(left: Picture, right: Picture, frame: Rectified, span: tuple[float, float]) -> str:
-    """What is wrong with two pictures of which too few pixels match, from trying them otherwise, half as large.
-
-    `span` is the largest and the least disparity in full size. [px]
-    """
-
-    def share(one: FloatArray, two: FloatArray) -> float:
-        small = [np.ascontiguousarray(_warped(p, m)[::2, ::2]) for p, m in zip((one, two), frame.maps, strict=True)]
-        return float(np.isfinite(_semi_global(small, (span[0] / 2, span[1] / 2))).mean())
-
-    one, two = left.values, right.values
-    tries = {
-        "left and right are swapped, or both are upside down; give the left one first": (two, one),
-        "the right picture is upside down": (one, two[::-1, ::-1]),
-        "the left picture is upside down": (one[::-1, ::-1], two),
-    }
-    if left.size[0] == left.size[1]:
-        tries |= {
-            "both pictures are turned by 90 deg clockwise": (np.rot90(one), np.rot90(two)),
-            "both pictures are turned by 90 deg anticlockwise": (np.rot90(one, -1), np.rot90(two, -1)),
-            "the right picture is turned by 90 deg": (one, np.rot90(two)),
-            "the left picture is turned by 90 deg": (np.rot90(one), two),
-        }
-    shares = {reason: share(*pair) for reason, pair in tries.items()}
-    likeliest = max(shares, key=lambda reason: shares[reason])
-    if shares[likeliest] > max(LEAST_SHARE, 1.5 * share(one, two)):
-        return f"do not match as they are: {likeliest}"
-    return (
-        f"less than {FEWEST:.0%} of the pixels match; are they of one place, one moment and this rig, "
-        "and is neither turned?"
-    )

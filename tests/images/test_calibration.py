@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,7 +17,15 @@ from lunarsci.cli import main
 from lunarsci.cli.images.calibrate import EXAMPLES
 
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
-from lunarsci.images.calibration import BoardTarget, CameraCalibration, Sighting, calibrate, find_target, of_moments
+from lunarsci.images.calibration import (
+    BoardTarget,
+    CameraCalibration,
+    Sighting,
+    alike_turned,
+    calibrate,
+    find_target,
+    of_moments,
+)
 from lunarsci.images.camera import INTRINSICS, Camera, rotation_of, vector_of
 from lunarsci.images.jobs.calibrate_cameras import SIDES, CalibratedCameras, _seen_share, calibrate_cameras
 from lunarsci.images.jobs.requests import CalibrateCamerasRequest
@@ -292,3 +301,43 @@ def test_boards_of_every_kind_are_found() -> None:
         apart = [np.abs(seen.pixels[::way_] - expected).max() for way_ in (1, -1)]
         assert len(seen.numbers) > 0.9 * len(target.points_m)
         assert min(apart) < 0.4, kind
+
+
+def test_boards_before_a_busy_wall_are_found_at_once() -> None:
+    """What finds corners by their sectors alone loses half of these among the wall's."""
+    random, way, target = np.random.default_rng(1), boards.rays(LEFT), BoardTarget()
+
+    def light(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        wall = 0.5 + 0.4 * np.sign(np.sin(60 * x) * np.sin(55 * y + 3 * x))
+        near = (x > -0.06) & (x < 0.26) & (y > -0.06) & (y < 0.19)
+        return np.where(near, boards.chessboard(x, y, 9, 6, SQUARE), wall)
+
+    for turn, place in boards.poses(5, (0.1, 0.0625), 0.6, random, spread=0.1):
+        values = boards.picture(way, turn, place, light, random).astype(float)
+        seen = find_target(Picture(source=InputFile("a", b""), values=values, bits=8), target, patient=False)
+        there = target.points_m @ turn.T + place
+        expected = cv2.projectPoints(there, np.zeros(3), np.zeros(3), LEFT.matrix, LEFT.terms)[0].reshape(-1, 2)
+        assert seen is not None
+        assert min(np.abs(seen.pixels[::one] - expected).max() for one in (1, -1)) < 0.3
+
+
+def test_a_square_board_that_one_side_numbers_otherwise_is_one_board() -> None:
+    """Of 5 x 5 points four numberings look alike; that of the left picture is the one of which both are nearest."""
+    target, random = BoardTarget(columns=5, rows=5), np.random.default_rng(2)
+    pixels = target.points_m[:, :2] * 4000 @ rotation_of([0, 0, 0.2])[:2, :2] + random.normal(0, 0.1, (25, 2))
+    left = Sighting(np.arange(25), pixels)
+    for turns in range(4):
+        other = np.rot90((pixels - [40.0, 1.0]).reshape(5, 5, 2), turns).reshape(-1, 2)
+        assert alike_turned(left, Sighting(np.arange(25), other), target).pixels == pytest.approx(pixels - [40.0, 1.0])
+
+
+def test_terms_that_fold_the_picture_leave_its_edge_without_an_error(found: CalibratedCameras) -> None:
+    """k3 = -0.4 of pictures whose middle alone was seen: the farthest direction is at fx y of about 0.62."""
+    camera = replace(found.calibration.cameras[0], k1=0.1, k2=-0.1, k3=-0.4)
+    folded = replace(found.calibration, cameras=(camera, *found.calibration.cameras[1:]))
+    away = folded.uncertainty_px(0, np.array([[243.0, 196.0], [camera.cx_px + 1.1 * camera.fx_px, 196.0]]))
+    assert np.isfinite(away).tolist() == [True, False]
+    corner = replace(folded, cameras=(replace(camera, width_px=1300), *folded.cameras[1:]))
+    sheet = replace(found, calibration=corner)
+    assert any("edge without directions" in note for note in sheet.notes())
+    assert sheet.to_dict()["cameras"]["left"]["corner_uncertainty_px"] > 0

@@ -274,11 +274,11 @@ def test_turned_and_swapped_pictures_are_named(bench: Bench, pair: RenderedPair,
     clockwise = [bench.save(f"q{k}.png", np.rot90(p, -1)) for k, p in enumerate((pair.left, pair.right))]
     assert "both pictures are turned by 90 deg clockwise" in bench.refused(*clockwise)
     turn = cv2.getRotationMatrix2D((160, 160), 3, 1)
-    assert "turned" in bench.refused(left, bench.save("t.png", cv2.warpAffine(pair.right, turn, (320, 320))))
+    assert "turned by -3 deg" in bench.refused(left, bench.save("t.png", cv2.warpAffine(pair.right, turn, (320, 320))))
     assert "another rig's" in bench.refused(left, bench.save("s.png", pair.right[:300, :300]))
-    assert "turned" in bench.refused(bench.save("a.png", np.rot90(pair.left)), right)
-    assert "upside down" in bench.refused(left, bench.save("b.png", pair.right[::-1, ::-1]))
-    assert "this rig" in bench.refused(left, bench.save("e.png", np.roll(pair.right, 5, axis=0)))
+    assert "the left picture is turned" in bench.refused(bench.save("a.png", np.rot90(pair.left)), right)
+    assert "the right picture is upside down" in bench.refused(left, bench.save("b.png", pair.right[::-1, ::-1]))
+    assert "4.8 px too low" in bench.refused(left, bench.save("e.png", np.roll(pair.right, 5, axis=0)))
 
 
 def test_pictures_that_show_nothing_are_refused(bench: Bench, pair: RenderedPair, plain: StereoTerrain) -> None:
@@ -294,7 +294,7 @@ def test_a_rover_that_moved_between_the_pictures_is_noticed(
 ) -> None:
     """By 3 cm and by 0.9 m along its way, as in 16 s at Yutu-2's 200 m an hour."""
     left = str(bench.folder / "left.png")
-    for step, said in ((0.03, "unevenly"), (0.9, "")):
+    for step, said in ((0.03, "the rover moved between the pictures"), (0.9, "")):
         moved = render(ground, square_rig(), Pose.looking([step, 0.0, 1.5], 2.0, 30.0, 1.0), seed=3).right
         assert said in bench.refused(left, bench.save("moved.png", moved))
 

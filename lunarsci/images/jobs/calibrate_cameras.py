@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.images.calibration import (
     BoardTarget,
@@ -112,7 +113,7 @@ class CalibratedCameras(Result):
             {"width_px": camera.width_px, "height_px": camera.height_px}
             | self._numbers(k)
             | {"residual_rms_px": _rms(fit.residuals[k]), "seen_share": _seen_share(fit, k)}
-            | {"corner_uncertainty_px": self._corner(k)}
+            | {"corner_uncertainty_px": float(np.nanmax(self._uncertainty(k)))}
             for k, camera in enumerate(fit.cameras)
         ]
         result: dict[str, Any] = {
@@ -140,11 +141,11 @@ class CalibratedCameras(Result):
             cells |= {name: float(value), f"{name}_sigma": float(error)}
         return cells
 
-    def _corner(self, index: int) -> float:
-        """Largest uncertainty of a direction at the picture's corners. [px]"""
+    def _uncertainty(self, index: int) -> FloatArray:
+        """Of directions at 7 x 7 places of the picture, its corners among them; NaN where there is none. (49,) [px]"""
         right, low = (n - 1.0 for n in self.calibration.cameras[index].size)
         places = np.array([[u, v] for u in np.linspace(0, right, 7) for v in np.linspace(0, low, 7)])
-        return float(np.nanmax(self.calibration.uncertainty_px(index, places)))
+        return self.calibration.uncertainty_px(index, places)
 
     def _baseline_sigma(self) -> float:
         way = self.calibration.translation_m / self.calibration.baseline_m
@@ -179,9 +180,14 @@ class CalibratedCameras(Result):
                 notes.append(
                     f"the board was seen in {share:.0%} of the {camera.name}'s picture; beyond is extrapolated"
                 )
-            if (edge := self._corner(k)) > COARSE_PX:
-                hint = "see the board there, or find fewer terms (--distortion)"
-                notes.append(f"directions at the {camera.name}'s edge are uncertain by up to {edge:.1f} px: {hint}")
+            hint = "see the board there, or find fewer terms (--distortion)"
+            edge = self._uncertainty(k)
+            if np.isnan(edge).any():
+                notes.append(f"the {camera.name}'s terms leave its edge without directions: {hint}")
+            elif edge.max() > COARSE_PX:
+                notes.append(
+                    f"directions at the {camera.name}'s edge are uncertain by up to {edge.max():.1f} px: {hint}"
+                )
         if fit.tilt_deg < 30:
             notes.append(f"normals of the board lie within {fit.tilt_deg:.0f} deg; more tilt gives the focal length")
         held = {0: "k1 k2 k3 p1 p2", 1: "k2 k3 p1 p2", 2: "k3 p1 p2", 4: "k3", 5: ""}[self.request.distortion]
@@ -296,7 +302,7 @@ def calibrate_cameras(
         before = n * len(side)
         seen.append(_sightings(side, target, lambda k, before=before: steps(before + k, count)))  # type: ignore[misc]
     if len(shown) > 1 and target.kind != "charuco":
-        seen[1] = [b if a is None or b is None else alike_turned(a, b) for a, b in zip(*seen, strict=True)]
+        seen[1] = [b if a is None or b is None else alike_turned(a, b, target) for a, b in zip(*seen, strict=True)]
     names = [[picture.source.name for picture in side] for side in shown]
     moments = [(tuple(s[k] for s in seen), tuple(n[k] for n in names)) for k in range(len(sides[0]))]
     used = [(view, files) for view, files in moments if any(s is not None for s in view)]

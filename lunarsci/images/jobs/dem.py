@@ -8,16 +8,18 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from lunarsci.errors import DataError
 from lunarsci.images.camera import Pose, StereoRig
 from lunarsci.images.elevation import ElevationModel
 from lunarsci.images.gridding import grid_of, levelled
-from lunarsci.images.jobs.requests import CamerasRequest, DemRequest
+from lunarsci.images.jobs.requests import CamerasRequest, DemRequest, LocateRequest
 from lunarsci.images.matching import StereoMatches, match
 from lunarsci.images.pictures import read_picture
+from lunarsci.images.reliability import Reliability, check_sides, reliability, ties_of
 from lunarsci.images.rig_files import check_rig_of, read_pose, read_rig
 from lunarsci.io.inputs import Source, read_input
 from lunarsci.options import request_of
-from lunarsci.result import Progress, Result, job
+from lunarsci.result import Doubt, Progress, Result, job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
 SOURCES = [
     "Brown (1971), Photogramm. Eng. 37, 855: lens distortion",
     "Hirschmueller (2008), IEEE Trans. PAMI 30, 328, 10.1109/TPAMI.2007.1166: semi-global matching",
+    "Baarda (1968), Neth. Geod. Comm. 2, 5: which gross error contradicts a rig",
     "Gruen (1985), S. Afr. J. Photogramm. Remote Sens. Cartogr. 14, 175: adaptive least squares correlation",
 ]
 STATEMENTS = (
@@ -50,6 +53,7 @@ class StereoTerrain(Result):
     rig : that took them.
     pose : of its left camera.
     levelled : whether the pose is one above level ground that was fitted to the points, not a given one.
+    reliability : what the pictures say of rig, mast and pose; None where they show too little in common.
     inputs : SHA-256 of each file by its name.
     """
 
@@ -60,7 +64,12 @@ class StereoTerrain(Result):
     rig: StereoRig
     pose: Pose
     levelled: bool
+    reliability: Reliability | None
     inputs: Mapping[str, str]
+
+    @property
+    def doubt(self) -> Doubt:
+        return Doubt.of(*self.reliability.doubts() if self.reliability else ())
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -69,6 +78,7 @@ class StereoTerrain(Result):
             "pose": self.pose.to_dict() | {"levelled": self.levelled},
             "pixels": self.matches.shares(),
             "row_offset_px": self.matches.row_offset_px,
+            "reliability": self.reliability and self.reliability.to_dict(),
             "ranges": self.rows(),
             "notes": self.notes(),
         }
@@ -135,7 +145,16 @@ def dem(
     pose = None if request.pose is None else read_pose(request.pose)
     nearest = request.nearest or nearest_ground_m(rig, pose, rig.height_m)
     farthest = request.farthest or farthest_ground_m(rig, request.spacing)
-    matches = match(pictures[0], pictures[1], rig, nearest_m=nearest, progress=progress)
+    ties = ties_of(*pictures)
+    names = ", ".join(file.name for file in files)
+    check_sides(rig, ties, names)
+    known = reliability(rig, ties, pose, LocateRequest().tilt_error)
+    try:
+        matches = match(pictures[0], pictures[1], rig, nearest_m=nearest, progress=progress)
+    except DataError as error:
+        if known and (doubts := known.doubts()):
+            raise DataError(f"{names}: {'; '.join(doubts)}") from error
+        raise
     place = pose or levelled(matches, rig.height_m)
     model = grid_of(
         matches,
@@ -148,7 +167,9 @@ def dem(
     )
     inputs = {file.name: file.sha256 for file in files}
     inputs |= {} if request.pose is None else {request.pose: read_input(request.pose).sha256}
-    return StereoTerrain(model=model, matches=matches, rig=rig, pose=place, levelled=pose is None, inputs=inputs)
+    return StereoTerrain(
+        model=model, matches=matches, rig=rig, pose=place, levelled=pose is None, reliability=known, inputs=inputs
+    )
 
 
 def nearest_ground_m(rig: StereoRig, pose: Pose | None, mast_m: float) -> float:
