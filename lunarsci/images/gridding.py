@@ -13,7 +13,7 @@ from lunarsci.compiled import compiled
 from lunarsci.errors import DataError
 from lunarsci.images.camera import Pose, StereoRig
 from lunarsci.images.elevation import ElevationModel, mean_about
-from lunarsci.images.matching import HALF_PX, StereoMatches
+from lunarsci.images.matching import StereoMatches
 
 COMMON_NODES = 4
 """Distance of the nodes at which the rig's errors are computed; they change slowly between these."""
@@ -28,8 +28,8 @@ PARTS = 3
 """A cell's height is the mean over so many places along x and y on the triangles between pixels."""
 COVERED = 0.5
 """Share of these places that must lie on triangles; assumed."""
-ALIKE_PX = 4.0
-"""Distance of pixels whose errors are independent: as `matching.CORRELATED`."""
+ALIKE = 4 / 7
+"""Distance of pixels whose errors are independent, as a share of their windows: as `matching.CORRELATED`."""
 REPRESENTED = 0.09
 """Share of the relief between nodes that the mean of a cell misses: as `matching.CORRELATED`."""
 HIDDEN = 0.8
@@ -49,12 +49,14 @@ class Cloud(NamedTuple):
     pixels : row and column of each in the rectified left picture. (n, 2)
     disparity : u in the left picture less u in the right one. (n,) [px]
     sigma_px : its random error. (n,) [px]
+    window_px : width over which it is a mean, and its error one. (n,) [px]
     """
 
     points: FloatArray
     pixels: npt.NDArray[np.int64]
     disparity: FloatArray
     sigma_px: FloatArray
+    window_px: FloatArray
 
 
 def cloud_of(matches: StereoMatches, pose: Pose, farthest_m: float) -> Cloud:
@@ -69,7 +71,8 @@ def cloud_of(matches: StereoMatches, pose: Pose, farthest_m: float) -> Cloud:
     near = np.linalg.norm(local, axis=1) <= farthest_m
     if near.sum() < 100:
         raise DataError(f"no ground within {farthest_m:g} m was matched; give a larger `farthest`")
-    return Cloud(pose.to_world(local[near]), place[near], d[near], matches.sigma_px[valid][near])
+    layers = matches.sigma_px[valid][near], matches.window_px[valid][near]
+    return Cloud(pose.to_world(local[near]), place[near], d[near], *layers)
 
 
 def levelled(matches: StereoMatches, height_m: float) -> Pose:
@@ -111,14 +114,17 @@ def grid_of(
     away = np.linalg.norm((cloud.points - pose.center_m)[:, :2], axis=1)
     aside = _unevenness(first, spacing_m)[cells[:, 1], cells[:, 0]] * away / cloud.disparity
     sigma = np.hypot(gain, aside) * cloud.sigma_px
-    window = (2 * HALF_PX + 1) * np.linalg.norm(cloud.points - pose.center_m, axis=1) / matches.rectified.focal_px
+    window = cloud.window_px * np.linalg.norm(cloud.points - pose.center_m, axis=1) / matches.rectified.focal_px
     near = np.abs(cloud.points[:, 2] - first.ravel()[cell]) <= OUTLYING * sigma + STEEPEST * spacing_m
-    values = np.column_stack([cloud.points[:, 2], sigma**2, gain, window])
+    values = np.column_stack([cloud.points[:, 2], sigma**2, gain, window, ALIKE * cloud.window_px])
     layers, covered = _on_triangles(cloud, near, values, matches, (x0, y0, spacing_m), shape)
-    height, variance, by_disparity, width = np.moveaxis(layers, -1, 0)
+    height, variance, by_disparity, width, alike = np.moveaxis(layers, -1, 0)
     count = np.bincount(cell[near], minlength=shape[0] * shape[1]).reshape(shape)
     common, shift = _common_errors(rig, pose, height, (x0, y0, spacing_m))
-    parts = _spread_of_means(height, variance, count, covered, spacing_m), _unevenness(height, spacing_m) * shift
+    parts = (
+        _spread_of_means(height, variance, (count, alike), covered, spacing_m),
+        _unevenness(height, spacing_m) * shift,
+    )
     return ElevationModel(
         name=name,
         x0_m=x0,
@@ -135,16 +141,21 @@ def grid_of(
 
 
 def _spread_of_means(
-    height: FloatArray, variance: FloatArray, count: npt.NDArray[np.int64], covered: FloatArray, spacing_m: float
+    height: FloatArray,
+    variance: FloatArray,
+    pixels: tuple[npt.NDArray[np.int64], FloatArray],
+    covered: FloatArray,
+    spacing_m: float,
 ) -> FloatArray:
     """Random error of the cells' means. (ny, nx) [m]
 
-    By cell (ny, nx): height [m], variance of a pixel's height [m2], count of pixels, share that triangles cover.
+    By cell (ny, nx): height [m], variance of a pixel's height [m2], count of pixels and over how many along a side they
+    are alike [px], share that triangles cover.
 
     The error of a mean over n neighbouring pixels that are alike over w pixels falls as w / (sqrt(n) + w - 1). What no
     pixel shows of a cell is off by the relief.
     """
-    alone = ALIKE_PX / (np.sqrt(np.maximum(count, 1)) + ALIKE_PX - 1)
+    alone = pixels[1] / (np.sqrt(np.maximum(pixels[0], 1)) + pixels[1] - 1)
     relief = _relief(height, spacing_m)
     parts = alone * np.sqrt(variance), REPRESENTED * relief, HIDDEN * (1.0 - covered) * relief
     return np.asarray(np.sqrt(sum(np.square(part) for part in parts)))

@@ -1,9 +1,14 @@
 """What two pictures have in common, pixel by pixel: rectification, dense matching, and what cannot be matched and why.
 
 Semi-global matching (Hirschmueller 2008, 10.1109/TPAMI.2007.1166) of OpenCV gives where to begin, least squares on
-small windows of the rectified pictures go on: about a pixel the left picture is the right one, moved by a disparity
+windows of the rectified pictures go on: about a pixel the left picture is the right one, moved by a disparity
 that changes linearly over the window, times a gain, plus an offset (Gruen 1985, S. Afr. J. Photogramm. 14, 175:
 adaptive least squares correlation). The normal matrix and what is left of the light give the disparity's error.
+
+Where texture is weak a small window keeps what it began with. Least squares therefore go from coarse pictures to fine
+ones first, which forgets it: a smooth field. Small windows begin at this field and, where they differ, at semi-global
+matching; what they find is weighed by the light that is left, and their disagreement is part of the error. Then field
+and small window are weighed by their errors, that of the field being the relief about it.
 """
 
 import math
@@ -29,11 +34,24 @@ STEPS = 5
 """Steps of least squares on a window, at most."""
 SMALL_STEP_PX = 0.01
 """Step of a disparity that ends them; ten times as large a last one is taken for an answer, too. [px]"""
+STARTS_PX, START_SIGMAS = 0.5, 3.0
+"""How far semi-global matching may be off what least squares find before it is another surface: a step of it, and so
+many errors of a window; assumed."""
 FARTHEST_PX = 0.9
 """A window whose disparity moves farther from where it began is on something else; assumed. [px]"""
 STEEPEST = 2 / 3
 """Largest change of disparity from pixel to pixel of the left picture: 1 from pixel to pixel between both pictures
 (Pollard et al. 1985, Perception 14, 449, 10.1068/p140449). [px/px]"""
+LEVELS = (4, 4, 2, 2)
+"""Pictures that many times smaller in which the smooth field is found, one after the other: twice each, as the second
+time begins at slopes that the ground has."""
+WIDE_HALF_PX, WIDE_SMOOTH_PX = 4, 5
+"""Windows of the field, in pixels of its pictures, and width over which it is smoothed: so wide that in two pairs of
+smooth ruts (`scenes.py`: pressed 100 and 101) nothing of the start is left."""
+WIDE_PX = 2 * (2 * WIDE_HALF_PX + WIDE_SMOOTH_PX)
+"""Width of the ground of the left picture that a value of the field is a mean of. [px]"""
+UNKNOWN_PX = 1e3
+"""Error of a field that is not known. [px]"""
 ROWS = 16
 """Rows of refined pixels that a thread takes at a time."""
 REASONS = ("matched", "edge", "saturated", "shadow", "no texture", "occluded", "no match", "island")
@@ -44,9 +62,8 @@ BLOCK_PX = 5
 11 px, and penalties of 8 and 32 times its area."""
 DARK = 0.05
 """Light below this share of the bright tenth of a picture is shadow; assumed."""
-LARGEST_SIGMA_PX, LARGEST_MISFIT = 0.5, 0.6
-"""Error of a disparity, and what is left of the light of a window over its contrast, above which nothing is said;
-assumed."""
+LARGEST_SIGMA_PX = 1.0
+"""Error of a disparity above which nothing is said; assumed."""
 FEWEST = 0.1
 """Share of pixels that must match before anything is said of a pair; assumed."""
 ALIKE = 0.999
@@ -63,7 +80,7 @@ six rendered pairs of ground without texture: a third of the pixels on islands w
 ISLAND_OFF, ABOUT_PX = 0.5, 33
 """How far an island may be off the ground about it, as a share of its disparity, and the width of the window in which
 this ground is looked for [px]; measured: of shares from 0.1 on this one costs a real pair the fewest pixels."""
-CORRELATED = 2.4
+CORRELATED = 1.9
 """Random errors over those of the normal matrix, since what is left of the light is correlated: fitted to four
 rendered pairs (`tests/benchmarks/scenes.py`: NavCam 2 and 4, PanCam 1 and 10), and tried on others."""
 RELIEF = 0.9
@@ -90,6 +107,12 @@ class Refined(NamedTuple):
     slope_v: FloatArray
     misfit: FloatArray
     row_offset: FloatArray
+
+    @property
+    def variance(self) -> FloatArray:
+        """Of the disparity, with `CORRELATED`. Noise has derivatives, too, as if it were texture: information is the
+        share of the light that is none, 1 - misfit^2. (h, w) [px2]"""
+        return np.asarray((CORRELATED * self.sigma) ** 2 / np.maximum(1.0 - self.misfit**2, 1e-6))
 
 
 def refine(
@@ -322,6 +345,7 @@ class StereoMatches:
     rectified : the frame they are in.
     left : light of the left picture in it, in the numbers of its file. (h, w)
     disparity, sigma_px : u in the left picture less u in the right one, and its random error; NaN for none. (h, w) [px]
+    window_px : width over which it is a mean, and over which its error is one. (h, w) [px]
     reason : place in `REASONS` of why there is none. (h, w)
     first : what semi-global matching found. (h, w) [px]
     row_offset_px : how far the rows of the two pictures were apart at the middle, before they were moved. [px]
@@ -331,6 +355,7 @@ class StereoMatches:
     left: FloatArray
     disparity: FloatArray
     sigma_px: FloatArray
+    window_px: FloatArray
     reason: npt.NDArray[np.uint8]
     first: FloatArray
     row_offset_px: float
@@ -400,25 +425,73 @@ def match(
     report(2, 5)
     offset, moved = _rows_in_line(pictures, first, names)
     report(3, 5)
-    refined = refine(pictures[0], moved, first, _slopes(first))
+    found, sigma, share = _weighed(pictures[0], moved, first)
     report(4, 5)
-    reason = _reasons(pictures, full, first, refined, frame)
-    reason[(reason == MATCHED) & _islands(np.where(reason == MATCHED, refined.disparity, np.nan))] = ISLAND
-    if (reason == MATCHED).mean() < FEWEST:
+    reason = _reasons(pictures, full, found, sigma, frame)
+    reason[(reason == MATCHED) & _islands(np.where(reason == MATCHED, found, np.nan))] = ISLAND
+    known = reason == MATCHED
+    if known.mean() < FEWEST:
         check_sides(rig, ties_of(left, right), names)
         raise DataError(f"{names}: {TOO_FEW}")
-    disparity = np.where(reason == MATCHED, refined.disparity, np.nan)
-    parts = CORRELATED * refined.sigma, RELIEF * _relief(disparity), SMALLEST_SIGMA_PX
     report(5, 5)
     return StereoMatches(
         rectified=frame,
         left=pictures[0].astype(float),
-        disparity=disparity,
-        sigma_px=np.where(reason == MATCHED, np.sqrt(sum(np.square(part) for part in parts)), np.nan),
+        disparity=np.where(known, found, np.nan),
+        sigma_px=np.where(known, sigma, np.nan),
+        window_px=np.where(known, 2 * HALF_PX + 1 + share * (WIDE_PX - 2 * HALF_PX - 1), np.nan),
         reason=reason,
         first=first,
         row_offset_px=offset,
     )
+
+
+def _weighed(
+    left: npt.NDArray[np.float32], right: npt.NDArray[np.float32], first: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Disparities from small windows and a smooth field by their errors, their errors, and the field's share. (h, w)
+
+    Least squares begin at the field, and at semi-global matching `first` (h, w) where it is elsewhere. [px], [px], [-]
+    """
+    field = _field(left, right, first)
+    smooth, slopes = field.disparity, (field.slope_u, field.slope_v)
+    one = refine(left, right, smooth, slopes)
+    elsewhere = ~(np.abs(first - one.disparity) < STARTS_PX)
+    two = refine(left, right, np.where(elsewhere, first, np.nan), _slopes(first))
+    apart = (one.disparity - smooth) ** 2 - one.variance
+    relief = np.maximum(_mean_in_window(apart, 2 * (2 * HALF_PX + 1))[0], 0.0)
+    wide = np.nan_to_num(field.variance + relief, nan=UNKNOWN_PX**2)
+    small, variance = _mixture(one, two, smooth, wide)
+    smooth = np.where(np.isfinite(smooth), smooth, small)
+    # Both windows show the same: their errors are one. So is what starts differ by, beyond what weak texture explains.
+    share = variance / (variance + wide)
+    found = (1.0 - share) * small + share * smooth
+    total = ((1.0 - share) * np.sqrt(variance) + share * np.sqrt(wide)) ** 2
+    total += share * (1.0 - share) * (small - smooth) ** 2
+    total += np.maximum((first - found) ** 2 - START_SIGMAS**2 * variance - STARTS_PX**2, 0.0)
+    return found, np.sqrt(total + (RELIEF * _relief(found)) ** 2 + SMALLEST_SIGMA_PX**2), share
+
+
+def _mixture(one: Refined, two: Refined, field: FloatArray, wide: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean and variance of the disparity where windows from two starts found two, or one of them none. (h, w) [px]
+
+    Each is as likely as the light that it leaves says: exp(-chi^2 / 2), of which `CORRELATED`^2 are one measurement;
+    times Cauchy's law about the `field` (h, w) [px], whose variance is `wide` (h, w) [px2]: rocks are off it by far.
+    """
+    free = ((2 * HALF_PX + 1) ** 2 - 5) / CORRELATED**2
+    valid = [np.isfinite(a.disparity) for a in (one, two)]
+    squares = [np.where(v, a.misfit**2, np.inf) for v, a in zip(valid, (one, two), strict=True)]
+    least = np.minimum(*squares)
+    with np.errstate(invalid="ignore"):
+        about = [1.0 + np.nan_to_num((a.disparity - field) ** 2 / wide) for a in (one, two)]
+        weights = [np.exp(-0.5 * free * (s / least - 1.0)) / a for s, a in zip(squares, about, strict=True)]
+        weights = [np.nan_to_num(w / (weights[0] + weights[1])) for w in weights]
+    places = [np.where(v, a.disparity, 0.0) for v, a in zip(valid, (one, two), strict=True)]
+    errors = [np.where(v, a.variance, 0.0) for v, a in zip(valid, (one, two), strict=True)]
+    mean = sum(w * d for w, d in zip(weights, places, strict=True))
+    variance = sum(w * (e + (d - mean) ** 2) for w, d, e in zip(weights, places, errors, strict=True))
+    none = ~(valid[0] | valid[1])
+    return np.where(none, np.nan, mean), np.where(none, np.nan, variance)
 
 
 def _warped(values: npt.NDArray[Any], places: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
@@ -436,8 +509,7 @@ def _semi_global(pictures: list[npt.NDArray[np.float32]], span: tuple[float, flo
     `pictures` are the rectified left and right one (h, w), `span` the largest and the least disparity [px].
     """
     cv2 = open_cv()
-    top = float(np.percentile(pictures[0], 99.5))
-    eight = [np.clip(255 * np.sqrt(np.maximum(p, 0) / top), 0, 255).astype(np.uint8) for p in pictures]
+    eight = [_even(p) for p in pictures]
     lowest = max(math.floor(span[1]) - 1, 0)
     count = 16 * math.ceil((span[0] + 2 - lowest) / 16)
     matcher = cv2.StereoSGBM_create(
@@ -450,13 +522,22 @@ def _semi_global(pictures: list[npt.NDArray[np.float32]], span: tuple[float, flo
         uniquenessRatio=5,
         speckleWindowSize=100,
         speckleRange=2,
-        preFilterCap=31,
+        preFilterCap=63,
         mode=cv2.STEREO_SGBM_MODE_SGBM,
     )
     # A border as wide as the disparities keeps the left side of the picture.
     padded = [cv2.copyMakeBorder(p, 0, 0, count, 0, cv2.BORDER_REPLICATE) for p in eight]
     disparity = np.asarray(matcher.compute(*padded)[:, count:], dtype=float) / 16
     return np.where((disparity >= lowest) & (disparity <= np.arange(disparity.shape[1])), disparity, np.nan)
+
+
+def _even(picture: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
+    """A picture with the same contrast everywhere, so that smooth ground is no tie, of which the least disparity wins:
+    two standard deviations of the light about a pixel fill 8 bits. (h, w)"""
+    light = picture.astype(float)
+    rest = light - _mean_in_window(light, ABOUT_PX)[0]
+    spread = _mean_in_window(rest**2, ABOUT_PX)[0] + (1e-3 * light.max()) ** 2
+    return np.asarray(np.clip(127.5 * (1.0 + 0.5 * rest / np.sqrt(spread)), 0, 255), dtype=np.uint8)
 
 
 def _mean_in_window(values: FloatArray, side: int) -> tuple[FloatArray, FloatArray]:
@@ -466,11 +547,85 @@ def _mean_in_window(values: FloatArray, side: int) -> tuple[FloatArray, FloatArr
     return cv2.blur(np.where(valid, values, 0.0), (side, side)) / np.maximum(share, 1e-9), share
 
 
+class _Planes(NamedTuple):
+    """Planes of least squares through what is known in a square window about each pixel. (h, w) each
+
+    Attributes
+    ----------
+    middle : of the plane at the pixel; NaN where less than a tenth of the window is known.
+    slope_u, slope_v : its change along u and v; held at 0 as far as the window is not known. [1/px]
+    rms : of values about it.
+    """
+
+    middle: FloatArray
+    slope_u: FloatArray
+    slope_v: FloatArray
+    rms: FloatArray
+
+    @classmethod
+    def of(cls, values: FloatArray, side: int, weight: FloatArray | float = 1.0) -> "_Planes":
+        """Through values (h, w) with weights (h, w) in windows of `side` pixels."""
+        cv2 = open_cv()
+        known = np.isfinite(values) & (weight > 0)
+        w, d = np.where(known, weight, 0.0), np.where(known, values, 0.0)
+        share = cv2.blur(known.astype(float), (side, side))
+        total = np.maximum(cv2.blur(w, (side, side)), 1e-30)
+
+        def mean(product: FloatArray) -> FloatArray:
+            return np.asarray(cv2.blur(w * product, (side, side)) / total)
+
+        v, u = np.mgrid[: d.shape[0], : d.shape[1]].astype(float)
+        mu, mv, md = mean(u), mean(v), mean(d)
+        uu, vv, uv = mean(u * u) - mu**2 + 1.0 - share, mean(v * v) - mv**2 + 1.0 - share, mean(u * v) - mu * mv
+        dd, du, dv = mean(d * d) - md**2, mean(d * u) - md * mu, mean(d * v) - md * mv
+        by = np.maximum(uu * vv - uv**2, 1e-9)
+        slopes = [np.clip(s / by, -STEEPEST, STEEPEST) for s in (vv * du - uv * dv, uu * dv - uv * du)]
+        middle = md + slopes[0] * (u - mu) + slopes[1] * (v - mv)
+        left = dd - slopes[0] * du - slopes[1] * dv
+        middle = np.where(share > FEWEST, middle, np.nan)
+        return cls(middle, slopes[0], slopes[1], np.sqrt(np.maximum(left, 0.0)))
+
+
+def _scaled(values: npt.NDArray[Any], shape: tuple[int, int]) -> npt.NDArray[Any]:
+    """Values on another number of pixels (h, w), means where these are fewer, linear between them where more."""
+    cv2 = open_cv()
+    fewer = shape[0] < values.shape[0]
+    return np.asarray(cv2.resize(values, shape[::-1], interpolation=cv2.INTER_AREA if fewer else cv2.INTER_LINEAR))
+
+
+def _field(left: npt.NDArray[np.float32], right: npt.NDArray[np.float32], first: FloatArray) -> Refined:
+    """Smooth disparities from wide windows in pictures from coarse to fine; `first` (h, w) is where they begin. [px]
+
+    Their `sigma` is that of a window; `misfit` and `row_offset` are those of windows in the last pictures.
+    """
+    shape = first.shape
+    tall, wide = (math.ceil(n / LEVELS[0]) * LEVELS[0] for n in shape)
+    ends = (0, tall - shape[0]), (0, wide - shape[1])
+    one, two = (np.pad(p, ends, mode="edge") for p in (left, right))
+    known = np.pad(np.isfinite(first).astype(float), ends)
+    small = tall // LEVELS[0], wide // LEVELS[0]
+    with np.errstate(invalid="ignore"):
+        start = _scaled(np.pad(np.nan_to_num(first), ends), small) / _scaled(known, small) / LEVELS[0]
+    planes = _Planes.of(start, WIDE_SMOOTH_PX)
+    planes = planes._replace(middle=np.where(np.isfinite(start), planes.middle, np.nan))
+    for level in LEVELS:
+        small = tall // level, wide // level
+        ratio = small[0] / planes.middle.shape[0]
+        middle, u, v = (_scaled(a, small) for a in planes[:3])
+        begun = _scaled(one, small), _scaled(two, small), ratio * middle, (u, v)
+        found = refine(*begun, half_px=WIDE_HALF_PX)
+        weight = np.nan_to_num(1.0 / (found.sigma**2 + SMALLEST_SIGMA_PX**2))
+        planes = _Planes.of(found.disparity, WIDE_SMOOTH_PX, weight)
+        planes = planes._replace(middle=np.where(np.isfinite(planes.middle), planes.middle, ratio * middle))
+    level = LEVELS[-1]
+    layers = level * planes.middle, level * found.sigma, planes.slope_u, planes.slope_v, found.misfit, found.row_offset
+    return Refined(*(_scaled(a, (tall, wide))[: shape[0], : shape[1]] for a in layers))
+
+
 def _slopes(first: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Change of disparity along u and v, smoothed; 0 where it is not known. (h, w) [px/px]"""
-    mean, share = _mean_in_window(first, 11)
-    slope_v, slope_u = np.gradient(np.where(share > 0.3, mean, np.nan))
-    return np.clip(np.nan_to_num(slope_u), -STEEPEST, STEEPEST), np.clip(np.nan_to_num(slope_v), -STEEPEST, STEEPEST)
+    planes = _Planes.of(first, 11)
+    return planes.slope_u, planes.slope_v
 
 
 def _rows_in_line(
@@ -486,7 +641,7 @@ def _rows_in_line(
     grid = np.mgrid[:height, :width].astype(np.float32)
     for _ in range(2):
         refined = refine(pictures[0], right, first, _slopes(first), step_px=12, rows=True)
-        good = (refined.misfit < LARGEST_MISFIT) & (np.abs(refined.row_offset) < LARGEST_ROW_PX)
+        good = (refined.variance < LARGEST_SIGMA_PX**2) & (np.abs(refined.row_offset) < LARGEST_ROW_PX)
         if good.sum() < 50:
             return total, right
         v, u = np.nonzero(good)
@@ -508,14 +663,14 @@ def _rows_in_line(
 def _reasons(
     pictures: list[npt.NDArray[np.float32]],
     full: list[npt.NDArray[np.bool_]],
-    first: FloatArray,
-    refined: Refined,
+    found: FloatArray,
+    sigma: FloatArray,
     frame: Rectified,
 ) -> npt.NDArray[np.uint8]:
     """Why a pixel has no disparity, by its number in `REASONS`; the first reason that holds. (h, w)
 
     pictures, full : the rectified left and right one, and where they are saturated. (h, w) each
-    first, refined : disparities of semi-global matching, and what least squares made of them. (h, w)
+    found, sigma : disparities and their errors. (h, w) [px]
     frame : the rectified frame.
     """
     cv2 = open_cv()
@@ -526,14 +681,13 @@ def _reasons(
     reach, last = HALF_PX + 0.5, np.array(frame.shape[::-1]) - HALF_PX - 1.5
     inside = ((frame.maps[0] >= reach) & (frame.maps[0] <= last)).all(axis=-1)
     reason = np.full(frame.shape, MATCHED, dtype=np.uint8)
-    unfit = ~np.isfinite(refined.disparity) | (refined.misfit > LARGEST_MISFIT)
     for code, mask in (
-        (NO_MATCH, unfit),
-        (OCCLUDED, _occluded(first)),
-        (NO_TEXTURE, refined.sigma > LARGEST_SIGMA_PX),
+        (NO_MATCH, ~np.isfinite(found)),
+        (OCCLUDED, _occluded(found)),
+        (NO_TEXTURE, sigma > LARGEST_SIGMA_PX),
         (SHADOW, light - black < DARK * bright),
         (SATURATED, cv2.boxFilter(full[0].astype(np.float32), -1, window) > 1e-6),
-        (EDGE, ~inside | (np.arange(frame.shape[1]) - np.nan_to_num(first) < HALF_PX + 2)),
+        (EDGE, ~inside | (np.arange(frame.shape[1]) - np.nan_to_num(found) < HALF_PX + 2)),
     ):
         reason[mask] = code
     return reason
@@ -562,16 +716,6 @@ def _islands(disparity: FloatArray) -> npt.NDArray[np.bool_]:
     return np.asarray(valid & ~ground & ((share < 1e-6) | off))
 
 
-def _relief(disparity: FloatArray) -> FloatArray:
-    """Rms of neighbouring disparities about each window's plane, less what their own errors explain. (h, w) [px]"""
-    valid = np.isfinite(disparity)
-
-    def mean(values: FloatArray) -> FloatArray:
-        return _mean_in_window(np.where(valid, values, np.nan), 2 * HALF_PX + 1)[0]
-
-    v, u = np.mgrid[: disparity.shape[0], : disparity.shape[1]].astype(float)
-    mu, mv, md = mean(u), mean(v), mean(disparity)
-    uu, vv, dd = mean(u * u) - mu**2, mean(v * v) - mv**2, mean(disparity**2) - md**2
-    du, dv = mean(disparity * u) - md * mu, mean(disparity * v) - md * mv
-    variance = dd - du**2 / np.maximum(uu, 1e-9) - dv**2 / np.maximum(vv, 1e-9)
-    return np.sqrt(np.maximum(variance, 0.0))
+def _relief(disparity: FloatArray, side: int = 2 * HALF_PX + 1) -> FloatArray:
+    """Rms of neighbouring disparities about each window's plane. (h, w) [px]"""
+    return _Planes.of(disparity, side).rms

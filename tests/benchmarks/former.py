@@ -2,7 +2,7 @@
 
 `python tests/benchmarks/former.py` prints every number, text and key that is another than in the table. A change on
 purpose is recorded by `python tests/benchmarks/former.py --why "..." [NAME ...]`: it renews those answers, or all, and
-keeps the reason beside them. Of each number six digits are held, whatever its size: the others depend on the processor and
+keeps the reason beside them. Of each number six digits are held, whatever its size: others depend on the processor and
 on the libraries.
 """
 

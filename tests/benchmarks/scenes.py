@@ -51,8 +51,8 @@ class Material(NamedTuple):
     """What the ground and its light are like; the numbers are assumed.
 
     `hurst` of its heights, relief of the centimetres over the power law's, rms of its albedo, whose pattern has lengths
-    from a few millimetres to `pattern_m`, single scattering albedo `dark`, electrons of the brightest pixel, and the
-    lowest and highest Sun [deg].
+    from a few millimetres to `pattern_m`, single scattering albedo `dark`, electrons of the brightest pixel, the
+    lowest and highest Sun [deg], the share of the millimetres that wheels press flat, and the height of lugs' prints.
     """
 
     hurst: float = 0.8
@@ -62,6 +62,8 @@ class Material(NamedTuple):
     dark: float = 0.33
     electrons: float = 25000.0
     sun_deg: tuple[float, float] = (18.0, 45.0)
+    pressed: float = 0.7
+    lugs_m: float = 0.0015
 
 
 MATERIALS = {
@@ -70,6 +72,7 @@ MATERIALS = {
     "rubble": Material(hurst=0.6, fine=1.0, pattern=0.15, pattern_m=0.05, sun_deg=(12.0, 30.0)),
     "streaks": Material(hurst=0.8, fine=0.4, pattern=0.2, pattern_m=0.8, dark=0.5),
     "dim": Material(hurst=0.75, fine=0.6, pattern=0.08, dark=0.15, electrons=6000.0, sun_deg=(8.0, 20.0)),
+    "pressed": Material(pattern=0.02, pressed=1.0, lugs_m=0.0),
     "plain": Material(hurst=0.85, fine=0.5, pattern=0.0, sun_deg=(15.0, 35.0)),
 }
 
@@ -169,7 +172,7 @@ class Ground:
     def __init__(self, seed: int, material: Material = MATERIALS["regolith"]) -> None:
         from scipy.ndimage import spline_filter
 
-        self.material, hurst = material, material.hurst
+        self.material, hurst, self.driven = material, material.hurst, True
         random = np.random.default_rng((seed, 11))
         count, fine = round(WORLD_M / WORLD_STEP_M), round(MICRO_M / MICRO_STEP_M)
         world = _rms(8.0, 0.15, hurst) * _fractal(count, WORLD_STEP_M, (0.15, 8.0), hurst, random)
@@ -215,7 +218,7 @@ class Ground:
         """Ground with tracks, without rocks. [m]"""
         found = self.bare(x, y)
         near = np.abs(np.abs(y - self.middle(x)) - 0.45) < 0.2
-        if near.any():
+        if near.any() and self.driven:
             found[near] = self._tracked(x[near], y[near], found[near])
         return found
 
@@ -233,8 +236,8 @@ class Ground:
         off = np.abs(np.abs(y - self.middle(x)) - 0.45)
         inside = 0.5 * (1 - np.tanh((off - 0.5 * TRACK_WIDTH_M) / 0.004))
         berm = 0.003 * np.exp(-(((off - 0.5 * TRACK_WIDTH_M - 0.012) / 0.008) ** 2))
-        lugs = 0.0015 * np.sin(2 * np.pi * x / LUG_PITCH_M)
-        smooth = bare - 0.7 * inside * self._at(self.micro, x, y, MICRO_STEP_M)
+        lugs = self.material.lugs_m * np.sin(2 * np.pi * x / LUG_PITCH_M)
+        smooth = bare - self.material.pressed * inside * self._at(self.micro, x, y, MICRO_STEP_M)
         return smooth - inside * (self.floor(x) - lugs) + berm
 
     def albedo(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -464,6 +467,8 @@ def station(folder: Path, ground: Ground, told: Rig, delta: np.ndarray, seed: in
     random = np.random.default_rng((seed, 17, number))
     rig = perturbed(told, delta)
     spot = np.array([(0.0, 0.0), (7.0 * math.cos(0.05), 7.0 * math.sin(0.05))][number % 2]) * max(1, number)
+    if not ground.driven:
+        spot = spot + random.uniform([-0.5, -0.3], [0.1, 0.3])
     angles = [
         _heading(ground, told, spot, seed) + random.uniform(-0.05, 0.05),
         math.radians(told.down_deg + random.uniform(-1, 1)),
@@ -570,10 +575,13 @@ def trace_down(scene: Any, top: np.ndarray) -> np.ndarray:
     return np.where(np.array(hit.is_valid()), np.array(hit.p).T[:, 2], np.nan)
 
 
-def make(folder: Path, kind: str, seed: int, stations: int = 1, material: str = "regolith") -> Path:
+def make(
+    folder: Path, kind: str, seed: int, stations: int = 1, material: str = "regolith", before: bool = False
+) -> Path:
     """Render a scene into `folder`/KIND-SEED, unless it is there; gives that folder.
 
-    Of another material than regolith it is `folder`/KIND-MATERIAL-SEED.
+    Of another material than regolith it is `folder`/KIND-MATERIAL-SEED. With `before` each station has a `beforeN`
+    from close by, without tracks.
     """
     import mitsuba as mi
 
@@ -586,6 +594,10 @@ def make(folder: Path, kind: str, seed: int, stations: int = 1, material: str = 
     ground = Ground(seed, MATERIALS[material]) if missing else None
     for number in missing:
         station(target / f"station{number}", ground, told, delta, seed, number)
+        if before:
+            ground.driven = False
+            station(target / f"before{number}", ground, told, delta, seed, number)
+            ground.driven = True
     (target / "rig.toml").write_text(rig_toml(told))
     return target
 
@@ -597,9 +609,10 @@ def main() -> None:
     parser.add_argument("--rig", choices=("navcam", "pancam"), default="navcam")
     parser.add_argument("--stations", type=int, default=1)
     parser.add_argument("--material", choices=tuple(MATERIALS), default="regolith")
+    parser.add_argument("--before", action="store_true", help="each station's ground before the wheels came, too")
     asked = parser.parse_args()
     for seed in asked.seeds:
-        print(make(asked.folder, asked.rig, seed, asked.stations, asked.material))
+        print(make(asked.folder, asked.rig, seed, asked.stations, asked.material, asked.before))
         sys.stdout.flush()
 
 

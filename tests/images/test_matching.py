@@ -12,7 +12,7 @@ import pytest
 from lunarsci.errors import DataError
 from lunarsci.images.camera import Camera, Pose, StereoRig, covariance_of
 from lunarsci.images.jobs.dem import StereoTerrain, dem
-from lunarsci.images.matching import HALF_PX, MATCHED, SHADOW, _islands, _relief, match, rectify, refine
+from lunarsci.images.matching import HALF_PX, MATCHED, SHADOW, _field, _islands, _relief, match, rectify, refine
 from lunarsci.images.pictures import png_bytes, read_picture
 from lunarsci.images.render import Landscape, RenderedPair, landscape_on, render
 from lunarsci.images.rig_files import pose_text, rig_text
@@ -54,6 +54,23 @@ def test_refined_disparities_are_right_and_as_uncertain_as_they_say(half_px: int
     z = np.concatenate(errors)
     assert len(z) > 1200
     assert 0.95 < np.sqrt(np.mean(z**2)) < 1.2
+
+
+def test_where_texture_is_weak_the_field_forgets_what_it_began_with() -> None:
+    """Texture of 2 and white noise of 2, begun 1 px off: small windows keep most of that."""
+    v, u = np.mgrid[:160, :240].astype(float)
+    truth = 30 - 0.1 * v
+    random = np.random.default_rng(3)
+    noise = 2.0 * random.standard_normal((2, *u.shape))
+    left, right = (10 + 0.035 * light(w, v) + n for w, n in zip((u, u + truth), noise, strict=True))
+    within = np.s_[24:-24, 64:-24]
+    begun = truth - 1.0
+    small = refine(left, right, begun, (np.zeros_like(u), np.full_like(u, -0.1))).disparity
+    assert np.nanmean((small - truth)[within]) < -0.4
+    smooth = _field(*(p.astype(np.float32) for p in (left, right)), begun)
+    off = (smooth.disparity - truth)[within]
+    assert abs(np.nanmean(off)) < 0.06
+    assert np.nanstd(off) < 0.3
 
 
 def test_rows_that_are_apart_are_measured() -> None:
