@@ -134,7 +134,7 @@ def _those(batch: SpectraBatch, only: Sequence[str]) -> SpectraBatch:
     """The spectra of some names or patterns, in the order of these."""
     ids = batch.spectra.ids
     each = {name: [k for k, one in enumerate(ids) if one == name or fnmatchcase(one, name)] for name in only}
-    if missing := next((name for name, found in each.items() if not found), None):
+    if missing := next((name for name, rows in each.items() if not rows), None):
         result = some_of(ids, NAMED)
         raise DataError(f"no spectrum is called '{missing}'; {meant(missing, ids)}there are {len(ids)}: {result}")
     places = np.array(list(dict.fromkeys(chain.from_iterable(each.values()))))
