@@ -521,6 +521,7 @@ def test_heights_come_from_fisheye_pictures_and_their_labels_alone(tmp_path: Pat
     away, nearest = cKDTree(shown[:, :2]).query(nodes)
     error = (found.height_m[known] - shown[nearest, 2])[away < 0.02]
     assert error.size > 4000
+    assert read_rig(*files).mast_height_m == pytest.approx(0.5)
     assert abs(np.median(error)) < 1e-3
     assert np.sqrt(np.mean((error / found.layer("height_m_sigma")[known][away < 0.02]) ** 2)) < 1.2
 
