@@ -76,7 +76,7 @@ SETTINGS = {
     "how long machines are waited for, and how much memory is taken": (
         "parallel/dask_cluster.py: CONNECT_S, LONELY_S, LOOK_S", "twin/simulation/contact.py: MOST_NODES"),
     "steps, starts and ends of a search or a sum, and where floating point runs out: finer ones give the same": (
-        "images/rocks.py: SCALES_M", "images/labels.py: RANGES", "images/matching.py: SMALL_STEP_PX",
+        "images/rocks.py: SCALES_M", "images/matching.py: SMALL_STEP_PX",
         "compiled/lanes.py: DOUBLES_LAYOUT", "compiled/lanes.py: SINGLES_LAYOUT",
         "heights/projections.py: STEP_M", "regolith/inference/mode.py: FIRST_SHARE, ROUNDS, SETTLED",
         "regolith/inference/mode.py: LONGEST", "regolith/inference/prediction.py: STEPS, SHALLOWEST",

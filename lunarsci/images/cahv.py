@@ -29,7 +29,8 @@ MOST_PX = 100_000
 LABEL_BYTES = 1 << 18
 """Of a file that labels lie in: five times those of Mars 2020."""
 RANGES = (2.0, 5.0, 20.0)
-"""Ranges that a model is looked at by, since the pupil of CAHVORE moves; a lens is right at the first one. [m]"""
+"""Ranges that a model is looked at by, since the pupil of CAHVORE moves; a lens is right at the first one; assumed.
+[m]"""
 LINEARITY = {1.0: 1.0, 2.0: 0.0}
 """Of CAHVORE's types, perspective and fish-eye; the third one states its own: Gennery (2006) and `cmod_cahvore.c`."""
 NUMBER = r"[-+]?(?:\d++\.?+\d*+|\.\d++)(?:[eEdD][-+]?\d++)?"

@@ -56,6 +56,7 @@ class LabelCamera:
     residual_rms_px, residual_max_px : what it misses of the label's directions or model. [px]
     pinhole_max_px : the same without distortion. [px]
     remarks : what was assumed, one sentence each.
+    height_m : of the camera over the plane that the rover stands on; None where its frame does not tell. [m]
     """
 
     camera: Camera
@@ -64,6 +65,7 @@ class LabelCamera:
     residual_max_px: float
     pinhole_max_px: float
     remarks: tuple[str, ...]
+    height_m: float | None = None
 
 
 def camera_of(model: CahvModel, name: str) -> LabelCamera:
@@ -78,6 +80,10 @@ def camera_of(model: CahvModel, name: str) -> LabelCamera:
     points, pixels = _samples(model, name)
     left = np.linalg.norm(camera.project(pose.to_camera(points)) - pixels, axis=1)
     remark = f"{model.title} is used in full, by `lens`: k1 to p2 would miss it by more than {CLOSE_PX:g} px"
+    if left.max() > CLOSE_PX:
+        remark += (
+            f"; its pupil moves, for which it is {left.max():.2g} px off at most at {RANGES[0]:g} to {RANGES[-1]:g} m"
+        )
     return replace(
         fitted,
         camera=camera,
@@ -171,14 +177,18 @@ def _samples(model: CahvModel, name: str) -> tuple[FloatArray, FloatArray]:
 
 
 def _upright(fitted: LabelCamera, stated: StatedModel) -> LabelCamera:
-    """A camera in a frame whose z is up; where nothing tells which way that is the picture is held for upright."""
+    """A camera in a frame whose z is up; where nothing tells which way that is the picture is held for upright.
+
+    The origin of a rover's frame is where it stands (Maki et al. 2003, 10.1029/2003JE002077).
+    """
     turn, remarks = stated.turn, (*fitted.remarks, *stated.remarks)
     if turn is None and fitted.pose.rotation[2, 1] > 0:
         turn, remarks = np.diag([1.0, -1.0, -1.0]), (*remarks, DOWN)
     if turn is None:
         return replace(fitted, remarks=remarks)
     pose = Pose(rotation=turn @ fitted.pose.rotation, center_m=turn @ fitted.pose.center_m)
-    return replace(fitted, pose=pose, remarks=remarks)
+    height = float(pose.center_m[2]) if stated.frame.upper().startswith("ROVER") and pose.center_m[2] > 0 else None
+    return replace(fitted, pose=pose, remarks=remarks, height_m=height)
 
 
 def read_label(file: InputFile) -> LabelCamera:
@@ -224,6 +234,7 @@ def rig_of_labels(left: InputFile, right: InputFile) -> StereoRig:
         translation_m=translation,
         covariance=covariance_of(sigmas | dict.fromkeys((f"rotation_{axis}_rad" for axis in "xyz"), turned)),
         assumed=("covariance: what the fits to the labels miss, not what the calibration did", *remarks),
+        mast_height_m=first.height_m,
         source=f"labels {left.name} and {right.name}",
     )
 

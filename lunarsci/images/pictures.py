@@ -15,7 +15,7 @@ from scipy.ndimage import convolve
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.images.cahv import LABEL_BYTES, is_xml, label_of, label_parts
+from lunarsci.images.cahv import LABEL_BYTES, is_xml, label_of
 from lunarsci.io.documents import xml_root
 from lunarsci.io.inputs import InputFile, read_input, unheard
 from lunarsci.ranges import refuse
@@ -138,8 +138,8 @@ def _read_labelled(file: InputFile, label: InputFile) -> Picture:
 
 def _bits_of(label: InputFile) -> int:
     """Bits that the mask of a label leaves, as 2#0000111111111111#; 0 where it has none."""
-    masks = (re.search(r"SAMPLE_BIT_MASK\s*=\s*'?2#0*(1[01]{0,15})#", part) for part in label_parts(label))
-    return next((len(mask[1]) for mask in masks if mask), 0)
+    mask = re.search(rb"SAMPLE_BIT_MASK\s*[=>]\s*'?2#0*(1[01]{0,15})#", label.data[:LABEL_BYTES], re.IGNORECASE)
+    return len(mask[1]) if mask else 0
 
 
 def _check_size(file: InputFile) -> None:

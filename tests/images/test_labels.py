@@ -329,13 +329,15 @@ def of_pds4(v: Mapping[str, np.ndarray], size: tuple[int, int], file: str = "non
                    zip(("qcos", "qsin1", "qsin2", "qsin3"), TILT.as_quat()[[3, 0, 1, 2]], strict=True))  # fmt: skip
     space = tag("geom:Coordinate_Space_Present", frame) + tag("geom:Quaternion_Plus_Direction", turn)
     camera = tag("geom:Camera_Model_Parameters", tag(f"geom:{kind}_Model", "".join(cells)) + frame)
-    area = tag("geom:Geometry", camera + tag("geom:Coordinate_Space_Definition", space))
+    mask = tag("img:sample_bit_mask", "2#0000111111111111#")
+    area = mask + tag("geom:Geometry", camera + tag("geom:Coordinate_Space_Definition", space))
     axes = "".join(tag("Axis_Array", tag("axis_name", n) + tag("elements", e) + tag("sequence_number", k)) for k, (n, e)
                    in enumerate((("Band", 1), ("Line", size[1]), ("Sample", size[0])), 1))  # fmt: skip
     order = tag("axes", 3) + tag("axis_index_order", "Last Index Fastest")
     array = '<offset unit="byte">0</offset>' + order + tag("Element_Array", tag("data_type", "UnsignedMSB2")) + axes
     there = tag("File_Area_Observational", tag("File", tag("file_name", file)) + tag("Array_3D_Image", array))
-    start = '<?xml version="1.0"?><Product_Observational xmlns="http://pds.nasa.gov/pds4/pds/v1" xmlns:geom="g">'
+    start = '<?xml version="1.0"?><Product_Observational xmlns="http://pds.nasa.gov/pds4/pds/v1" '
+    start += 'xmlns:geom="g" xmlns:img="i">'
     return f"{start}{tag('Observation_Area', area)}{there}</Product_Observational>".encode()
 
 
@@ -519,6 +521,7 @@ def test_heights_come_from_fisheye_pictures_and_their_labels_alone(tmp_path: Pat
     away, nearest = cKDTree(shown[:, :2]).query(nodes)
     error = (found.height_m[known] - shown[nearest, 2])[away < 0.02]
     assert error.size > 4000
+    assert read_rig(*files).mast_height_m == pytest.approx(0.5)
     assert abs(np.median(error)) < 1e-3
     assert np.sqrt(np.mean((error / found.layer("height_m_sigma")[known][away < 0.02]) ** 2)) < 1.2
 
