@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 TRACK, ERRORS = "Track and wheel", "Errors (assumed)"
 OPTIONS = {
     "line": option(metavar="LINE", panel=TRACK),
+    "before": option(metavar="DEM", panel=TRACK),
     "rover": option(panel=TRACK),
     "width": option(panel=TRACK),
     "window": option(panel=TRACK),

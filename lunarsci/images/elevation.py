@@ -9,7 +9,7 @@ and a shift of its position, which the overlaps determine together (generalised 
 import io
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ import numpy.typing as npt
 from scipy.linalg import block_diag
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from lunarsci.arrays import BoolArray, FloatArray, IndexArray, huber_weights
+from lunarsci.arrays import BoolArray, FloatArray, IndexArray, huber_weights, robust_fit
 from lunarsci.errors import ParameterError
 from lunarsci.heights.grid import ERROR_LAYERS
 from lunarsci.heights.grids import check_relief, geotiff_bytes, read_grid
@@ -38,6 +38,10 @@ BETWEEN_NODES = 0.1
 """Error of a position that follows from heights on a grid, as a share of its spacing; assumed."""
 BLOCK = 12
 """Nodes along a side of the blocks whose gradients are compared; assumed."""
+MOVED = ("x_m", "y_m", "turn_rad", "z_m", "tilt_x", "tilt_y")
+"""How a model is laid on another: moved, turned from x towards y, raised, and raised along x and y."""
+SMOOTHED = (8.0, 4.0, 2.0, 0.0)
+"""Widths over which heights are smoothed for that, one after the other: poses are off by some nodes. [nodes]"""
 COLUMNS = ("offset", "x_m", "y_m")
 """What a model may be off by: its common error, in units of it, and its position."""
 
@@ -156,6 +160,86 @@ class ElevationModel:
             "hole_share": float(1.0 - valid.mean()),
             **medians,
         }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Change:
+    """A model less an earlier one of the same ground, which is first laid on it.
+
+    Attributes
+    ----------
+    model : heights less the earlier ones; what is left unknown of how it lies is its common error.
+    moved : how the earlier one was moved, in `MOVED`. (6,) [m, m, rad, m, m/m, m/m]
+    covariance : of these. (6, 6)
+    rms_z : of what is left where nothing changed, in its standard errors. [-]
+    """
+
+    model: ElevationModel
+    moved: FloatArray
+    covariance: FloatArray
+    rms_z: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Movement and its errors by name."""
+        sigma = np.sqrt(np.diag(self.covariance))
+        named = {key: float(value) for key, value in zip(MOVED, self.moved, strict=True)}
+        named |= {f"{key}_sigma": float(value) for key, value in zip(MOVED, sigma, strict=True)}
+        return {"before": self.model.name, "rms_z": self.rms_z, **named}
+
+
+def change_of(model: ElevationModel, before: ElevationModel, same: BoolArray) -> Change:
+    """A model less an earlier one, laid on it by a rigid movement and a tilt where `same` (ny, nx): nothing changed.
+
+    Gauss-Newton from heights that are smoothed over several nodes to those as they are, with Tukey's weights. Nodes
+    within the resolution are one measurement; errors are as much larger as what is left is. Raises ParameterError
+    without errors of both, and where they do not overlap.
+    """
+    lacking = [m.name for m in (model, before) if m.height_m_sigma is None]
+    refuse({f"{', '.join(lacking)}: no height_m_sigma; a difference needs the errors of both": bool(lacking)})
+    x, y = np.meshgrid(model.x_m, model.y_m)
+    middle = float(x[same].mean()), float(y[same].mean())
+    moved = np.zeros(len(MOVED))
+    for width in SMOOTHED:
+        smooth = before if not width else replace(before, height_m=mean_about(before.height_m, width))
+        height = mean_about(model.height_m, width) if width else model.height_m
+        for _ in range(REWEIGHTED):
+            laid, by, variance = _laid(smooth, moved, x, y, middle)
+            sigma = np.sqrt(variance + model.layer("height_m_sigma") ** 2)
+            used = same & np.isfinite(height - laid) & np.isfinite(by).all(axis=-1) & (sigma > 0)
+            refuse({f"{before.name} and {model.name} share no ground beside the track": used.sum() < 100})
+            design, rest = by[used] / sigma[used, None], (height - laid)[used] / sigma[used]
+            step, weight = robust_fit(design, rest)
+            moved = moved + step
+    alike = max(1.0, (_width([model, before]) / model.spacing_m) ** 2)
+    sound = weight > 0
+    rms = float(np.sqrt(np.sum(weight * (rest - design @ step) ** 2) / weight.sum()))
+    covariance = np.linalg.pinv(design[sound].T @ design[sound]) * alike * max(1.0, rms) ** 2
+    laid, by, variance = _laid(before, moved, x, y, middle)
+    difference = replace(
+        model,
+        name=f"{model.name} less {before.name}",
+        height_m=model.height_m - laid,
+        height_m_sigma=np.sqrt(variance + model.layer("height_m_sigma") ** 2),
+        height_m_common_sigma=np.sqrt(np.einsum("...i,ij,...j->...", by, covariance, by)),
+    )
+    return Change(model=difference, moved=moved, covariance=covariance, rms_z=rms)
+
+
+def _laid(
+    before: ElevationModel, moved: FloatArray, x: FloatArray, y: FloatArray, middle: tuple[float, float]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Heights of a model moved by `moved`, at x, y (ny, nx) [m], turned and tilted about `middle` [m]; their
+    derivatives by `MOVED`, and their variance. (ny, nx), (ny, nx, 6), (ny, nx) [m, m2]"""
+    ahead, left = x - middle[0], y - middle[1]
+    back, aside, cosine, sine = ahead - moved[0], left - moved[1], math.cos(moved[2]), math.sin(moved[2])
+    places = middle[0] + cosine * back + sine * aside, middle[1] - sine * back + cosine * aside
+    slopes = np.gradient(mean_about(before.height_m, 1.0), before.spacing_m)
+    slope_y, slope_x = (replace(before, height_m=slope).at("height_m", *places) for slope in slopes)
+    turned = cosine * slope_x - sine * slope_y, sine * slope_x + cosine * slope_y
+    turn = -turned[0] * -aside - turned[1] * back
+    by = np.stack([-turned[0], -turned[1], turn, np.ones_like(x), ahead, left], axis=-1)
+    height = before.at("height_m", *places) + moved[3] + moved[4] * ahead + moved[5] * left
+    return height, by, before.at("height_m_sigma", *places) ** 2
 
 
 def mean_about(values: FloatArray, width: float) -> FloatArray:

@@ -18,7 +18,7 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray, robust_fit, robust_scatter
 from lunarsci.errors import ParameterError
-from lunarsci.images.elevation import ElevationModel
+from lunarsci.images.elevation import Change, ElevationModel, change_of
 from lunarsci.io.inputs import read_input, read_json
 
 FLOOR_SHARE = 0.6
@@ -482,6 +482,23 @@ def _misfit(left: FloatArray, rest: FloatArray, width_m: float) -> tuple[float, 
     return squares / float(inside.sum() + beside.sum()), -float(floor[0])
 
 
+def change_along(
+    model: ElevationModel, before: ElevationModel, line: FloatArray, width_m: float, search_m: float
+) -> Change:
+    """What changed since an earlier model, which is laid on this one where no wheel of `width_m` on the line went."""
+    profile = TrackProfile.of_wheel(width_m, float(np.nanmedian(model.layer("resolution_m"))))
+    x, y = np.meshgrid(model.x_m, model.y_m)
+    away = np.full(x.shape, np.inf)
+    for start, end in itertools.pairwise(line):
+        way = (end - start) / np.linalg.norm(end - start)
+        ahead, left = x - start[0], y - start[1]
+        along = ahead * way[0] + left * way[1]
+        beyond = np.maximum(np.maximum(-along, along - np.linalg.norm(end - start)), 0.0)
+        away = np.minimum(away, np.hypot(left * way[0] - ahead * way[1], beyond))
+    inner, outer = profile.ground_m
+    return change_of(model, before, (away >= inner + search_m) & (away <= 4.0 * outer))
+
+
 def track_depths(
     model: ElevationModel,
     line: FloatArray,
@@ -490,14 +507,14 @@ def track_depths(
     window_m: float = 0.5,
     step_m: float = 0.1,
     search_m: float = 0.05,
-    disparity_bias_px: float = 0.05,
+    disparity_bias_px: float = 0.1,
     progress: Callable[[int, int], None] | None = None,
 ) -> TrackDepths:
     """Depth of the track of a wheel along a line (n, 2), every `step_m`, each from a window of `window_m` along it.
 
     `search_m` is how far to either side of the line its middle may lie; `disparity_bias_px` the relative bias of the
-    disparity between floor and ground, which are of other shape and texture; assumed. Raises ParameterError for a line
-    off the model.
+    disparity between floor and ground, which are of other shape and texture: rms 0.12 on eight floors of `scenes.py`,
+    pressed, against dense truth. Raises ParameterError for a line off the model.
     """
     length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
     about = model.at("resolution_m", *places_on(line, np.linspace(0.0, length, 50), np.zeros(50)).T)

@@ -32,7 +32,7 @@ from lunarsci.images.jobs.dem import StereoTerrain, dem
 from lunarsci.images.matching import MATCHED
 from lunarsci.images.rig_files import pose_text
 from lunarsci.images.rocks import find_rocks
-from lunarsci.images.tracks import track_depths
+from lunarsci.images.tracks import change_along, track_depths
 
 RANGES_M = (0.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 15.0)
 FEWEST = 300
@@ -41,6 +41,8 @@ WHEEL_M = 0.15
 TRACK_M = 2.75, 3.75
 """Ranges between which tracks are measured: about 3 m, where both pictures show them."""
 ROCKS_M, ROCK_M = 5.0, 0.05
+BEFORE_OFF = 0.02, 0.1
+"""Errors of the pose of the pictures before the drive. [m], [deg]"""
 
 
 @dataclass(frozen=True)
@@ -97,11 +99,15 @@ class Seen:
         return np.asarray(shift[:, 2] - slope[0] * shift[:, 0] - slope[1] * shift[:, 1])
 
 
-def seen(station: Path, folder: Path) -> Seen:
-    """Read a station as a user would who knows where it is."""
-    truth = np.load(station / "truth.npz")
+def seen(station: Path, folder: Path, off: tuple[float, float] = (0.0, 0.0)) -> Seen:
+    """Read a station as a user would who knows where it is, `off` by so much [m] and so much in its angles [deg]."""
+    from scipy.spatial.transform import Rotation
+
+    truth, random = np.load(station / "truth.npz"), np.random.default_rng(len(str(station)))
+    turn = Rotation.from_rotvec(random.normal(0, math.radians(off[1]), 3)).as_matrix()
+    place = truth["left_center_m"] + random.normal(0, off[0], 3)
     pose = folder / "pose.toml"
-    pose.write_text(pose_text(Pose(rotation=truth["left_rotation"], center_m=truth["left_center_m"])))
+    pose.write_text(pose_text(Pose(rotation=truth["left_rotation"] @ turn, center_m=place)))
     found = dem(station / "left.png", station / "right.png", rig=str(station.parent / "rig.toml"), pose=str(pose))
     return Seen(f"{station.parent.name}/{station.name}", found, truth)
 
@@ -161,11 +167,18 @@ def _disparities(station: Seen, points: np.ndarray) -> np.ndarray:
     return np.asarray(frame.focal_px * (ways[0][..., 0] / ways[0][..., 2] - ways[1][..., 0] / ways[1][..., 2]))
 
 
-def tracks(station: Seen) -> list[dict[str, Any]]:
-    """Depths along both tracks about 3 m away: a line drawn a little beside, windows of 0.5 m and the mean."""
-    model = grid_of(
-        station.found.matches, station.found.rig, station.found.pose, name="fine", spacing_m=0.01, farthest_m=5.0
-    )
+def _fine(station: Seen) -> ElevationModel:
+    found = station.found
+    return grid_of(found.matches, found.rig, found.pose, name=station.name, spacing_m=0.01, farthest_m=5.0)
+
+
+def tracks(station: Seen, earlier: Seen | None = None) -> list[dict[str, Any]]:
+    """Depths along both tracks about 3 m away: a line drawn a little beside, windows of 0.5 m and the mean.
+
+    Below the ground of an `earlier` station, where there is one.
+    """
+    model = _fine(station)
+    before = None if earlier is None else _fine(earlier)
     random = np.random.default_rng(len(station.name))
     rows = []
     for side, track in zip(("left", "right"), station.truth["tracks"], strict=True):
@@ -174,7 +187,9 @@ def tracks(station: Seen) -> list[dict[str, Any]]:
         if len(near) < 50:
             continue
         line = track[near[[0, len(near) // 2, -1]], :2]
-        found = track_depths(model, line + random.uniform(-0.02, 0.02, (3, 2)), WHEEL_M, window_m=0.5, step_m=0.1)
+        line = line + random.uniform(-0.02, 0.02, (3, 2))
+        used = model if before is None else change_along(model, before, line, WHEEL_M, 0.05).model
+        found = track_depths(used, line, WHEEL_M, window_m=0.5, step_m=0.1)
         if not found.determined.any():
             rows.append({"side": side, "reason": found.reason[0]})
             continue
@@ -247,6 +262,8 @@ def judged(station: Path, folder: Path) -> dict[str, Any]:
     began, spent = time.time(), _spent()
     found = seen(station, folder)
     cost = {"wall_s": time.time() - began, "cpu_s": _spent() - spent}
+    before = station.with_name(station.name.replace("station", "before"))
+    earlier = seen(before, folder, BEFORE_OFF) if (before / "truth.npz").exists() else None
     return {
         "station": found.name,
         **cost,
@@ -254,6 +271,7 @@ def judged(station: Path, folder: Path) -> dict[str, Any]:
         "heights": heights(found),
         "shadows": shadows(found),
         "tracks": tracks(found),
+        "sinkage": [] if earlier is None else tracks(found, earlier),
         "rocks": rocks(found),
     }
 
@@ -279,8 +297,8 @@ def height_lines(results: list[dict[str, Any]]) -> Iterator[str]:
         )
 
 
-def track_lines(results: list[dict[str, Any]]) -> Iterator[str]:
-    rows = [row | {"station": r["station"]} for r in results for row in r["tracks"]]
+def track_lines(results: list[dict[str, Any]], key: str) -> Iterator[str]:
+    rows = [row | {"station": r["station"]} for r in results for row in r[key]]
     for row in rows:
         if "reason" in row:
             yield f"{row['station']} {row['side']}: not determined: {row['reason']}"
@@ -309,7 +327,9 @@ def lines(results: list[dict[str, Any]]) -> Iterator[str]:
     total = max(dark["pixels"].sum(), 1)
     given, wrong = ((dark[key] * dark["pixels"]).sum() / total for key in ("given", "wrong"))
     yield f"shadow: {total} pixels, {given:.2%} with a height, {wrong:.2%} with one 3 sigma off"
-    yield from track_lines(results)
+    yield from track_lines(results, "tracks")
+    yield "from before and after:"
+    yield from track_lines(results, "sinkage")
     sums = {key: sum(r["rocks"][key] for r in results) for key in ("rocks", "found", "finds", "false")}
     yield f"rocks of 5 cm within 5 m: {sums['found']} of {sums['rocks']}; {sums['false']} false of {sums['finds']}"
     yield f"CPU s a pair: {np.median([r['cpu_s'] for r in results]):.1f}"

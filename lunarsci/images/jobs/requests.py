@@ -245,22 +245,24 @@ class TrackRequest:
     Attributes
     ----------
     line : Along the middle of the track: x1,y1,x2,y2,... in m, or a GeoJSON file.
+    before : Heights before the drive, with errors, which these are then subtracted from: no ground is interpolated.
     rover : Whose wheel it was: a name (yutu2, small-four) or a TOML file.
     width : Width of the wheel in m, in place of the rover's.
     window : Length of track in m that gives one depth.
     step : Distance of the depths, in m.
     search : How far from the line the middle of the track may lie, in m; 0 keeps to the line.
-    disparity_bias : Bias of the disparity between the floor and the ground beside it, in px; assumed.
+    disparity_bias : Bias of the disparity between the floor and the ground beside it, in px: 0.12 on 8 rendered floors.
     rebound : Share of the sinkage by which the ground rose again after the wheel; assumed.
     """
 
     line: str = ""
+    before: str | None = None
     rover: str = "yutu2"
     width: float | None = None
     window: float = 0.5
     step: float = 0.1
     search: float = 0.05
-    disparity_bias: float = 0.05
+    disparity_bias: float = 0.1
     rebound: float = 0.0
 
     def __post_init__(self) -> None:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from lunarsci.arrays import FloatArray
-from lunarsci.images.elevation import ElevationModel, read_elevation
+from lunarsci.images.elevation import Change, ElevationModel, read_elevation
 from lunarsci.images.jobs.requests import TrackRequest
-from lunarsci.images.tracks import TrackDepths, read_line, track_depths
+from lunarsci.images.tracks import TrackDepths, change_along, read_line, track_depths
 from lunarsci.io.inputs import read_input
 from lunarsci.options import request_of
 from lunarsci.provenance import sha256
@@ -38,6 +38,7 @@ class TrackSinkage(Result):
     Attributes
     ----------
     model : the heights that the track was measured in.
+    change : these less those before the drive, where they were given.
     line : corners of the line along the track. (n, 2) [m]
     width_m : of the wheel. [m]
     depths : at places along the line.
@@ -50,6 +51,7 @@ class TrackSinkage(Result):
     schema: ClassVar[str] = "images-track/1"
     sources = SOURCES
     model: ElevationModel
+    change: Change | None = None
     line: FloatArray
     width_m: float
     depths: TrackDepths
@@ -97,6 +99,7 @@ class TrackSinkage(Result):
             },
             "ground_scatter_m": depths.ground_scatter_m,
             "track": self.rows(),
+            **({} if self.change is None else {"change": self.change.to_dict()}),
             "notes": self.notes(),
         }
 
@@ -122,7 +125,7 @@ class TrackSinkage(Result):
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.images.figures import track_page
 
-        yield track_page(self.model, self.line, self.width_m, self.depths)
+        yield track_page(self.change.model if self.change else self.model, self.line, self.width_m, self.depths)
 
     def notes(self) -> list[str]:
         """What the depths mean, and what is assumed or missing."""
@@ -134,6 +137,13 @@ class TrackSinkage(Result):
             notes.append("too little ground without a track beside it to try the errors on")
         if depths.systematic_m.get("disparity") is None:
             notes.append("the bias of disparities is not in the errors: the model has no height_by_disparity_m_px")
+        if self.change is not None:
+            x, y, z = (1e3 * v for v in self.change.moved[[0, 1, 3]])
+            notes.append(
+                "depths are the ground before the drive less that after it; the model before was moved by "
+                f"{x:.1f}, {y:.1f}, {z:.1f} mm to lie on the ground beside the track, where they differ by "
+                f"{self.change.rms_z:.2f} of their errors"
+            )
         if self.model.synthetic:
             notes.append("the terrain is synthetic")
         return notes
@@ -168,8 +178,12 @@ def track(
         width = float(rover.table("wheel")["width_m"])
         tables = {f"{request.rover} (rover)": sha256(rover.text.encode())}
         assumed = ("the wheel's width",) if "wheel.width_m" in rover.assumed else ()
+    change = None
+    if request.before is not None:
+        inputs[request.before] = read_input(request.before).sha256
+        change = change_along(model, read_elevation(request.before), line, width, request.search)
     depths = track_depths(
-        model,
+        change.model if change else model,
         line,
         width,
         window_m=request.window,
@@ -180,6 +194,7 @@ def track(
     )
     return TrackSinkage(
         model=model,
+        change=change,
         line=line,
         width_m=width,
         depths=depths,
