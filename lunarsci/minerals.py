@@ -4,6 +4,7 @@ A new mineral is a row of `TABLE`. Its bands are rows of `spectra_data/mgm_bands
 `spectra_data/end_members.csv`. Shares of `spectra unmix` come from networks, which learned of those that are `weighed`.
 """
 
+import re
 from dataclasses import dataclass
 
 
@@ -49,3 +50,13 @@ COMPONENTS = tuple(dict.fromkeys(key for one in TABLE for key in one.components)
 """Of the chemistry of all."""
 WORDS = {word.lower(): one.name for one in TABLE for word in (one.name, one.abbreviation, *one.aliases) if word}
 """Names by every word for them, in lower case."""
+
+
+def abbreviated(names: str) -> list[str]:
+    """Abbreviations of minerals joined by hyphens, commas or plus signs, which may be names too; of others capitals.
+
+    >>> abbreviated("olivine-opx"), abbreviated("OL, glass")
+    (['OL', 'OPX'], ['OL', 'GLASS'])
+    """
+    parts = re.split(r"\s*[-,+]\s*", names.strip())
+    return [ABBREVIATIONS.get(WORDS.get(part.lower(), ""), "") or part.upper() for part in parts]

@@ -8,6 +8,7 @@ import contextlib
 import dataclasses
 import functools
 import inspect
+import io
 import re
 import sys
 import warnings
@@ -15,6 +16,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
+from pathlib import Path
+from tempfile import TemporaryDirectory, mkdtemp
 from types import FrameType
 from typing import TYPE_CHECKING, Any, ClassVar, ParamSpec, TypeAlias, TypeVar, get_args
 
@@ -266,6 +269,10 @@ class Result(ABC):
         """The rows of `to_table`: those of `--csv`, but where these are the steps to an answer."""
         return self.rows()
 
+    def as_input(self) -> Mapping[str, Callable[[], bytes]]:
+        """The file, or the files of a folder, that jobs take which are given this result; none where none takes it."""
+        return {}
+
     def to_table(self, *, parts: bool = True) -> "QTable":
         """The answer as a table; a column with a unit in its name is a quantity, missing numbers are NaN.
 
@@ -323,7 +330,9 @@ def job(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
     @functools.wraps(function)
     def run(*args: Given.args, **options: Given.kwargs) -> Returned:
         bound = signature.bind(*_together(args, kind, signature), **options)
-        replaced = bound.arguments.pop("options", {})
+        arguments = bound.arguments
+        arguments |= {name: in_a_file(name, arguments[name]) for name in {*arguments} - {"options", "rocks"}}
+        replaced = {name: in_a_file(name, value) for name, value in arguments.pop("options", {}).items()}
         request = bound.arguments["request"] = request_of(kind, bound.arguments.get("request"), replaced)
         with _heard(sys._getframe(1)) as heard:
             result = function(*bound.args, **bound.kwargs)
@@ -334,6 +343,41 @@ def job(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
     text, heading, examples = (inspect.getdoc(function) or "").partition("\n\nExamples\n")
     run.__doc__ = f"{text}\n\n{options_text(kind)}{heading}{examples}"
     return run
+
+
+@functools.cache
+def _room() -> "TemporaryDirectory[str]":
+    """Where files of results in memory lie until the process ends."""
+    return TemporaryDirectory(prefix="lunarsci-")
+
+
+def in_a_file(name: str, value: Any) -> Any:
+    """The file of a result, or of a terrain in memory, for a job that reads files; any other value as it is.
+
+    A terrain is (x, y, heights (ny, nx)) in metres, or a table of nodes.
+    """
+    contents: Mapping[str, Callable[[], bytes]] = {}
+    if isinstance(value, Result):
+        contents = value.as_input()
+    elif name == "terrain" and hasattr(value, "to_csv"):
+        contents = {"terrain.csv": lambda: value.to_csv(index=False).encode()}
+    elif name == "terrain" and isinstance(value, tuple | list) and len(value) == 3:
+        contents = {"terrain.npz": lambda: _archive(value)}
+    if not contents:
+        return value
+    folder = Path(mkdtemp(dir=_room().name))
+    for file, make in contents.items():
+        (folder / file).write_bytes(make())
+    return str(folder / next(iter(contents)) if len(contents) == 1 else folder)
+
+
+def _archive(nodes: Sequence[Any]) -> bytes:
+    import numpy as np
+
+    written = io.BytesIO()
+    x, y, heights = (np.asarray(one, float) for one in nodes)
+    np.savez(written, x_m=x, y_m=y, height_m=heights)
+    return written.getvalue()
 
 
 def _together(args: tuple[Any, ...], kind: type, signature: inspect.Signature) -> tuple[Any, ...]:

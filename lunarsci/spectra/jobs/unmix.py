@@ -22,7 +22,7 @@ from lunarsci.constants import ABSORBANCE, HAPKE, WEATHERING
 from lunarsci.errors import DataError, Failure, ParameterError, RequestError, warn
 from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.io.tables import table_hashes
-from lunarsci.minerals import ABBREVIATIONS, WEIGHED
+from lunarsci.minerals import ABBREVIATIONS, WEIGHED, abbreviated
 from lunarsci.names import some_of
 from lunarsci.options import request_of
 from lunarsci.result import Doubt, MadeFrom, Progress, Result, job
@@ -66,7 +66,7 @@ REFUSED = "a soil that space has weathered, whose glass and iron no mixture of p
 def named_minerals(assemblage: str) -> list[str]:
     """Full names of the minerals of an assemblage."""
     short = {ABBREVIATIONS[mineral]: mineral for mineral in WEIGHED}
-    parts = [part.strip().upper() for part in assemblage.replace(",", "-").split("-")]
+    parts = abbreviated(assemblage)
     if strange := [part for part in parts if part not in short]:
         raise RequestError(
             f"`assemblage`: '{strange[0]}' is no mineral that is weighed; join some of {', '.join(short)}"

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from lunarsci.errors import ParameterError
 from lunarsci.io.tables import table_rows
-from lunarsci.minerals import MINERALS
+from lunarsci.minerals import MINERALS, abbreviated
 from lunarsci.names import meant
 
 GROUPS = {"pyroxene": ("OPX", "CPX")}
@@ -128,7 +128,7 @@ def assemblage(name: str) -> Assemblage:
 
     Raises ParameterError for anything else.
     """
-    parts = name.upper().split("-")
+    parts = abbreviated(name)
     unknown = [part for part in parts if part not in MINERALS]
     if unknown or len(set(parts)) != len(parts):
         near = meant(unknown[0], MINERALS) if unknown else ""

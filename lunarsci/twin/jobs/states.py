@@ -108,6 +108,9 @@ class MeasuredStates(Result):
         """The tables as CSV: name to what makes the content."""
         return {name: lambda table=table: csv_bytes(table) for name, table in self.tables.items()}  # type: ignore[misc]
 
+    def as_input(self) -> dict[str, Callable[[], bytes]]:
+        return {"states.csv": self.files()["states.csv"]}
+
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.twin.figures.wheel_states import states_page
 

@@ -213,6 +213,9 @@ class TerrainSurvey(Result):
     def rows(self) -> Sequence[Mapping[str, Any]]:
         return [{"quantity": name, **values} for name, values in self.surface.maps.spreads().items()]
 
+    def as_input(self) -> dict[str, Callable[[], bytes]]:
+        return {"terrain.npz": self.files()["terrain.npz"]}
+
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.twin.figures.maps import terrain_maps
 

@@ -172,6 +172,7 @@ def test_a_fit_needs_channels_without_a_wide_gap(first: float, last: float) -> N
 
 
 def test_a_subset_of_minerals_has_their_bands_only() -> None:
+    assert assemblage("orthopyroxene, olivine") == assemblage("OL-OPX")
     [fit] = fit_spectra([made(STRENGTHS)], mgm_model("ol-opx"))
     assert fit.assemblage == "OL-OPX"
     assert {band.mineral for band in fit.bands} == {"any", "olivine", "orthopyroxene"}

@@ -1,0 +1,47 @@
+"""The loop of a drive in memory: results and arrays go where files go, with the same answers."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import lunarsci
+from lunarsci.errors import DataError
+from lunarsci.guide.template import template
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("loop")
+    for kind in ("telemetry.csv", "plan.toml"):
+        (folder / kind).write_text(template(kind.partition(".")[0]).text, "utf-8")
+    return folder
+
+
+def test_results_go_where_their_files_go(files: Path) -> None:
+    states = lunarsci.states(files / "telemetry.csv")
+    (files / "states.csv").write_bytes(states.files()["states.csv"]())
+    of_result = lunarsci.update(states, particles=32, seed=1)
+    of_file = lunarsci.update(files / "states.csv", particles=32, seed=1)
+    assert of_result.belief.mean.tolist() == of_file.belief.mean.tolist()
+    predicted = lunarsci.predict(files / "plan.toml", soil=of_result, members=16)
+    assert predicted.prediction.members == 16
+    assert "1 drive" in predicted.inputs.soil_notes(16, 0)[0]
+    with pytest.raises(DataError, match="has learned from .*states.csv already"):
+        lunarsci.update(states, soil=of_result, particles=32)
+
+
+def test_a_terrain_is_arrays_or_a_table_of_nodes(files: Path) -> None:
+    x, y = np.arange(-2, 6, 0.1), np.arange(-4, 4, 0.1)
+    heights = 0.05 * np.sin(x)[None, :] + 0 * y[:, None]
+    nodes = pd.DataFrame({"x_m": np.tile(x, y.size), "y_m": np.repeat(y, x.size), "height_m": heights.ravel()})
+    ends = [
+        lunarsci.predict(files / "plan.toml", terrain=terrain, soil="priors", members=8).verdict.endpoint
+        for terrain in ((x, y, heights), nodes)
+    ]
+    assert ends[0] is not None and ends[1] is not None
+    assert ends[0].covering_radius_m == pytest.approx(ends[1].covering_radius_m, rel=1e-3)
+    survey = lunarsci.plan((x, y, heights), target="3,0.5")
+    again = lunarsci.predict(files / "plan.toml", terrain=survey, soil="priors", members=8).verdict.endpoint
+    assert again is not None and again.covering_radius_m == pytest.approx(ends[0].covering_radius_m, rel=1e-3)
