@@ -179,11 +179,15 @@ class Doubt:
         return ": ".join(filter(None, (self.verdict, "; ".join(self.reasons)))) if self else ""
 
 
+FIRST = 4
+"""Values of the first row that a result shows of itself."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Result(ABC):
     """What a job found; a job's own result says `to_dict`, `rows`, `figures`, `made_from` and `doubt`.
 
-    `print` shows the text of its command, a notebook its tables.
+    `print` shows the text of its command, a notebook its tables; `len` and an index give its rows, one of each thing.
 
     Of many things alike it has `content` instead of `to_dict`, and gives their `Records` there and as `rows`.
 
@@ -212,7 +216,22 @@ class Result(ABC):
 
     def __repr__(self) -> str:
         made_by = f" of {self.asked.command}" if self.asked else ""
-        return f"<{type(self).__name__}{made_by}: print it, or take .to_table(), .plot(), .to_dict() or .to_json()>"
+        first = plain(self[0]).items() if len(self) else ()
+        words = [f"{key} {value}" for key, value in first if isinstance(value, str) and key != "source"][:1]
+        numbers = [f"{key} {value:.5g}" for key, value in first if isinstance(value, int | float)]
+        shown = [*words, *numbers][:FIRST]
+        rows = f"{len(self)} row{'s' if len(self) != 1 else ''}{', the first: ' if shown else ''}{', '.join(shown)}"
+        return f"<{type(self).__name__}{made_by}, {rows}; .to_table(), .plot(), .to_dict() and .to_json() have all>"
+
+    def __len__(self) -> int:
+        return len(self.rows_each())
+
+    def __getitem__(self, index: Any) -> Any:
+        """Rows as of `rows_each`, one or some."""
+        return self.rows_each()[index]
+
+    def __bool__(self) -> bool:
+        return True
 
     def __str__(self) -> str:
         text: str = self.renderer().as_text(self) if self.renderer else str(self.to_table())

@@ -28,7 +28,7 @@ def test_results_go_where_their_files_go(files: Path) -> None:
     predicted = lunarsci.predict(files / "plan.toml", soil=of_result, members=16)
     assert predicted.prediction.members == 16
     assert "1 drive" in predicted.inputs.soil_notes(16, 0)[0]
-    with pytest.raises(DataError, match="has learned from .*states.csv already"):
+    with pytest.raises(DataError, match=r"has learned from .*states\.csv already"):
         lunarsci.update(states, soil=of_result, particles=32)
 
 
@@ -45,3 +45,11 @@ def test_a_terrain_is_arrays_or_a_table_of_nodes(files: Path) -> None:
     survey = lunarsci.plan((x, y, heights), target="3,0.5")
     again = lunarsci.predict(files / "plan.toml", terrain=survey, soil="priors", members=8).verdict.endpoint
     assert again is not None and again.covering_radius_m == pytest.approx(ends[0].covering_radius_m, rel=1e-3)
+
+
+def test_a_result_shows_numbers_and_has_rows() -> None:
+    forces = lunarsci.wheel_forces(sinkage=0.01, slip="0:0.2:3")
+    assert len(forces) == 3 and forces[0] == forces.rows()[0]
+    assert [row["slip_ratio"] for row in forces] == pytest.approx([0.0, 0.1, 0.2])
+    assert "3 rows, the first: " in repr(forces) and "sinkage_m 0.01" in repr(forces)
+    assert forces
