@@ -34,7 +34,8 @@ NEWTON_STEPS = 3
 FEWEST = 50
 """CommonFeatures below which pictures say nothing of a rig; assumed."""
 COMMON = 1.5
-"""Errors of the terms of rows over those by their scatter: measured on 14 rendered pairs with their true rigs."""
+"""Errors of the terms of rows over those by their scatter: measured on 14 rendered pairs with their true
+rigs (`tests/benchmarks/wrong_rigs.py`)."""
 ROW_PX = 3.0
 """Rows that scatter by less are those of one scene; assumed. [px]"""
 NEAREST = 0.25

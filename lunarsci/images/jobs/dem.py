@@ -110,6 +110,7 @@ class StereoTerrain(Result):
         notes = [*STATEMENTS]
         if self.levelled:
             notes.append("no pose was given: the ground near the rover is taken as level, x points ahead")
+        notes += [f"rig read as: {note}" for note in self.rig.read_as]
         if self.rig.assumed:
             notes.append(f"the rig assumes: {', '.join(self.rig.assumed)}")
         if self.model.synthetic:
