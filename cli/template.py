@@ -13,7 +13,7 @@ Kind = Annotated[
     typer.Argument(
         metavar="KIND",
         help="What to begin: rover (Yutu-2's numbers), small-four (a rover of four wheels), soil, prior, plan, "
-        "mission, craters, telemetry, or states of wheels.",
+        "mission, craters, telemetry, states of wheels, rig (stereo cameras), or pose of its left camera.",
     ),
 ]
 EXAMPLES = (

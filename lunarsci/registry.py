@@ -54,7 +54,7 @@ where there is none. A command is the module `cli/PART/COMMAND.py`; its job is t
 `lunarsci/PART/jobs`, or of the command's."""
 SINGLE: dict[str, str] = {
     "info": "What a file is, what is in it, and which commands take it.",
-    "template": "A file to begin with: rover, soil, plan, mission, craters or telemetry.",
+    "template": "A file to begin with: rover, soil, plan, mission, craters, telemetry, rig or pose.",
     "report": "Results of other commands as one HTML page: answers, pictures, errors, assumptions, what to cite.",
     "cite": "What to cite for results, as BibTeX.",
     "doctor": "Whether lunarsci works here: versions, extras, compiled code, and a small test of each part.",

@@ -21,13 +21,14 @@ if TYPE_CHECKING:
 OPTIONS = {
     "disparity_error": option(),
     "translation_unit": option(show_default="m or mm, by its length"),
+    "picture_size": option(metavar="WxH"),
 }
 Sources = Annotated[
     list[str] | None,
     typer.Argument(
         metavar="[RIG|LABEL|FILE...]",
-        help="Rigs by name or TOML file; labels, or YAML and XML of ROS, OpenCV and Kalibr: one is a camera or a rig, "
-        "two are the left and the right camera.",
+        help="Rigs by name or TOML file; labels, or YAML, XML and .npz of ROS, OpenCV and Kalibr: one is a camera or "
+        "a rig, two are the left and the right camera.",
         show_default="the rigs that come with lunarsci",
     ),
 ]

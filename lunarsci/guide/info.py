@@ -249,7 +249,7 @@ def kind_of(file: InputFile) -> str:
     if file.data.startswith(NETCDF) and holds_heights(Path(file.name)):
         return "terrain"
     if magic := next((kind for start, kind in MAGIC_BYTES.items() if file.data.startswith(start)), None):
-        return magic
+        return (suffix == ".npz" and kind_of_cameras(file)) or magic
     if file.data.startswith(b"SIMPLE  ="):
         return "spectra"
     if kind := kind_of_product(file):
@@ -365,15 +365,18 @@ def _is_wavelength(column: str, name: str, lines: Sequence[str]) -> bool:
 
 def kind_of_rover_file(file: InputFile, start: str) -> str:
     """`camera`, `rig` or `terrain`; '' of any other file. `start` are its first lines. Raises DataError."""
-    from lunarsci.images.rig_files import is_rig, tree_of
-
     if CAMERA_LABEL.search(start):
         return "camera"
     if is_map_of_heights(start) or is_table_of_heights(file, start):
         return "terrain"
-    if tree_of(file) is None:
-        return ""
-    return "rig" if is_rig(file) else "camera"
+    return kind_of_cameras(file)
+
+
+def kind_of_cameras(file: InputFile) -> str:
+    """`camera` or `rig`; '' of any other file. Raises DataError."""
+    from lunarsci.images.rig_files import is_rig, tree_of
+
+    return "" if tree_of(file) is None else "rig" if is_rig(file) else "camera"
 
 
 def kind_of_product(file: InputFile) -> str:

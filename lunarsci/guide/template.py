@@ -290,6 +290,60 @@ def _prior() -> str:
     return "\n".join([*lines, ""])
 
 
+def _rig() -> str:
+    from lunarsci.images.camera import INTRINSICS, RELATIVE, Camera, Sensor, StereoRig, vector_of
+    from lunarsci.images.rig_files import SENSOR, read_rig
+
+    rig, camera, texts = read_rig("yutu2-navcam"), described(Camera), described(StereoRig) | described(Sensor)
+    size = {name: rig.sigmas.get(f"left_{name}", rig.sigmas.get(name, 0.0)) for name in (*INTRINSICS, *RELATIVE)}
+    texts |= {"source": "where the numbers are from", "assumed": "names of the keys that are guesses"}
+    texts["rotation_rad"] = (
+        "from the left camera's frame to the right one's: rotation vector of R in X_right = R X_left + T. [rad]"
+    )
+    texts["translation_m"] = (
+        "T: the left camera's centre in the right one's frame; x is negative, its length is the baseline. [m]"
+    )
+    known = {"name": "my rig", "source": "calibration of 2026-01-31", "mast_height_m": rig.height_m}
+    more = {"nearest_m": rig.nearest_m, "assumed": ["read_noise_e"]} | {key: getattr(rig.sensor, key) for key in SENSOR}
+    lines = [
+        "# A stereo rig; the numbers are those of yutu2-navcam, most of them assumed. Keys after # may be left out.",
+        "# Pixels: u to the right, v down, (0, 0) the centre of the first one. The frame of a camera: x to the right,",
+        "# y down, z ahead. Files of OpenCV, ROS and Kalibr are taken as they are, or made into such a file by",
+        "# `lunarsci images cameras FILE -o rig.toml`.",
+        *_block(known, texts),
+        *_block(more, texts, more),
+    ]
+    for side, one in (("left", rig.left), ("right", rig.right)):
+        numbers = {key: getattr(one, key) for key in ("width_px", "height_px", *INTRINSICS)}
+        lines += ["", f"[{side}]", *_block(numbers, camera if side == "left" else {}, INTRINSICS[4:])]
+    place = {"rotation_rad": vector_of(rig.rotation).tolist(), "translation_m": rig.translation_m.tolist()}
+    lines += [
+        "",
+        "[relative]",
+        *_block(place, texts),
+        "",
+        "# Standard deviations of the calibration, in the units of the",
+    ]
+    lines += [
+        "# keys, of either camera; left_fx_px or right_k1 of one. Without them heights have no common error.",
+        "[sigma]",
+    ]
+    return "\n".join([*lines, *_block({key: one for key, one in size.items() if one}, {}), ""])
+
+
+def _pose() -> str:
+    from lunarsci.images.camera import Pose
+
+    place = Pose.looking([0.0, 0.0, 1.5], 0.0, 25.0).to_dict()
+    texts = {"position_m": "of the left camera: x, y and up. [m]", "down_deg": "below the horizon. [deg]"}
+    texts |= {"heading_deg": "where it looks, from x towards y. [deg]"}
+    texts |= {"roll_deg": "clockwise about its axis, as seen from behind. [deg]"}
+    place |= {key: round(place[key], 6) + 0.0 for key in ("heading_deg", "down_deg", "roll_deg")}
+    return "\n".join(
+        ["# Where the left camera of a rig was; x and y are level.", *_block(place, texts, ["roll_deg"]), ""]
+    )
+
+
 KINDS: Mapping[str, tuple[str, Callable[[], str]]] = {
     "rover": ("rover.toml", _rover),
     "small-four": ("rover.toml", lambda: _rover("small-four")),
@@ -300,5 +354,7 @@ KINDS: Mapping[str, tuple[str, Callable[[], str]]] = {
     "telemetry": ("telemetry.csv", _telemetry),
     "states": ("states.csv", _states),
     "prior": ("prior.toml", _prior),
+    "rig": ("rig.toml", _rig),
+    "pose": ("pose.toml", _pose),
 }
 """What there is: the usual name of such a file, and what makes its text."""

@@ -35,6 +35,9 @@ PARAMETERS = (*(f"left_{n}" for n in INTRINSICS), *(f"right_{n}" for n in INTRIN
 MAST_M = 1.5
 """Height of a camera whose rig does not say: about that of the mast cameras of MER, 1.54 m (Maki et al. 2003,
 10.1029/2003JE002077). [m]"""
+UNSTATED = (0.01, 0.4)
+"""Errors of a rig whose file states none: of lengths, focal and the baseline, as shares, and what its rotation shifts
+[px]; measured: by as much do halves of six public sets of chessboards differ."""
 PIXEL_MTF = 2 / math.pi
 """Contrast that a square pixel leaves at half a cycle a pixel. [-]"""
 
@@ -560,3 +563,12 @@ def covariance_of(sigmas: dict[str, float]) -> FloatArray:
                 f"sigma of {name} is {value}; give a number of 0 or more"
             )  # fmt: skip
     return np.diag([sigmas.get(name, 0.0) ** 2 for name in PARAMETERS])
+
+
+def unstated_covariance(left: Camera, right: Camera, translation_m: FloatArray) -> FloatArray:
+    """Errors that a rig has whose file states none, as `UNSTATED`. (24, 24)"""
+    share, shift_px = UNSTATED
+    sides = (("left", left), ("right", right))
+    focal = {f"{side}_{name}": share * getattr(one, name) for side, one in sides for name in INTRINSICS[:2]}
+    turns = dict.fromkeys(RELATIVE[:3], shift_px / left.fx_px)
+    return covariance_of(focal | turns | dict.fromkeys(RELATIVE[3:], share * float(np.linalg.norm(translation_m))))

@@ -16,7 +16,7 @@ import numpy as np
 
 from lunarsci.arrays import NORMAL_MAD, SIGNIFICANCE, FloatArray, robust_fit, robust_scatter
 from lunarsci.errors import DataError, ParameterError
-from lunarsci.images.camera import MAST_M, PARAMETERS, Pose, StereoRig
+from lunarsci.images.camera import MAST_M, PARAMETERS, Pose, StereoRig, unstated_covariance
 from lunarsci.images.pictures import Picture, open_cv
 
 HIGHLANDS, MARIA = NORMAL_MAD * math.radians(7.5), NORMAL_MAD * math.radians(2.0)
@@ -25,9 +25,6 @@ HIGHLANDS, MARIA = NORMAL_MAD * math.radians(7.5), NORMAL_MAD * math.radians(2.0
 MAST_ERROR, MAST_UNKNOWN = 0.1, 0.5
 """Errors of the mast's height where a rig states it, by its load and what its wheels stand on, and where it does not,
 as shares: assumed."""
-UNSTATED = (0.01, 1e-3)
-"""Errors of a rig that states none: of lengths, focal and of the baseline, as shares, and of the rotation [rad];
-measured: by as much do halves of five public sets of chessboards differ."""
 LIKE = 0.8
 """Distance of a feature from the likest over that from the second likest one (Lowe 2004)."""
 LOOKED_PX = 512 * 512
@@ -37,7 +34,8 @@ NEWTON_STEPS = 3
 FEWEST = 50
 """CommonFeatures below which pictures say nothing of a rig; assumed."""
 COMMON = 1.5
-"""Errors of the terms of rows over those by their scatter: measured on 14 rendered pairs with their true rigs."""
+"""Errors of the terms of rows over those by their scatter: measured on 14 rendered pairs with their true
+rigs (`tests/benchmarks/wrong_rigs.py`)."""
 ROW_PX = 3.0
 """Rows that scatter by less are those of one scene; assumed. [px]"""
 NEAREST = 0.25
@@ -202,17 +200,6 @@ class _Observed(NamedTuple):
     covariance: FloatArray
 
 
-def _prior(rig: StereoRig) -> FloatArray:
-    """Covariance of a rig's parameters, as stated or else assumed. (24, 24)"""
-    if rig.covariance.any():
-        return rig.covariance
-    share, turn = UNSTATED
-    lengths = [share * rig.left.fx_px] * 2 + [share * rig.right.fx_px] * 2
-    sigma = np.zeros(len(PARAMETERS))
-    sigma[[0, 1, 9, 10]], sigma[18:21], sigma[21:] = lengths, turn, share * rig.baseline_m
-    return np.diag(sigma**2)
-
-
 def _observed(rig: StereoRig, ties: CommonFeatures, pose: Pose | None, tilt_deg: float) -> _Observed | None:
     """Observations of ties whose rows agree, with the covariance of their own errors and of the ground's form; None
     where these are too few to say."""
@@ -303,7 +290,7 @@ def reliability(rig: StereoRig, ties: CommonFeatures, pose: Pose | None, tilt_de
     expected = np.zeros(len(observed.covariance))
     expected[6] = rig.height_m
     off = observed.of(rig) - expected
-    prior = _prior(rig)
+    prior = rig.covariance if rig.covariance.any() else unstated_covariance(rig.left, rig.right, rig.translation_m)
     sigma = np.sqrt(np.diag(prior))
     slopes = np.zeros((len(off), len(sigma)))
     for k in np.flatnonzero(sigma):

@@ -7,8 +7,10 @@ manual, appendix on camera models) count pixels from the corner of the first one
 from its centre. Also VINS, ORB-SLAM 3 and instant-ngp.
 """
 
+import io
 import re
 import tomllib
+import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -34,6 +36,7 @@ from lunarsci.images.camera import (
     covariance_of,
     is_swapped,
     rotation_of,
+    unstated_covariance,
     vector_of,
 )
 from lunarsci.images.labels import COARSE_PX, fit_cahv, read_label, rig_of_labels
@@ -97,6 +100,8 @@ KEYS = re.compile(
 """A line that a file of cameras in YAML has."""
 SURELY = re.compile(r"camera_?matrix|distortion_|intrinsics|opencv|camera_model|image_width", re.IGNORECASE)
 """What no other text has."""
+ZIPPED, SMALL_BYTES = b"PK\x03\x04", 4096
+"""How an archive begins, and of how many bytes no array of a camera is: assumed."""
 STATED = "errors: a file of this kind states none"
 CAMERA_FORM = "a camera has image_width, image_height, camera_matrix and distortion_coefficients"
 ONE_CAMERA = "is one camera; a rig needs two"
@@ -280,16 +285,18 @@ class _LensModel(CahvModel):
 
 
 def tree_of(file: InputFile) -> Mapping[str, Any] | None:
-    """The keys of a file of YAML or of OpenCV's XML that has cameras, or a way from one to the other; None of any
-    other one. Raises DataError for one that is broken."""
+    """The keys of a file of YAML, of OpenCV's XML or of NumPy's .npz that has cameras, or a way from one to the other;
+    None of any other one. Raises DataError for one that is broken."""
     if is_product(file):
         return None
-    start = beginning(file)
+    start = "" if file.data.startswith(ZIPPED) else beginning(file)
     try:
         if written := _written(file, start):
             return written
         if "<opencv_storage" in start:
             tree = _of_element(xml_root(file.name, file.data))
+        elif file.data.startswith(ZIPPED):
+            tree = _of_archive(file)
         else:
             tree = _of_yaml(file, start) if KEYS.search(start) else None
     except (ValueError, KeyError, TypeError, OverflowError) as error:
@@ -307,6 +314,16 @@ def _of_yaml(file: InputFile, start: str) -> Any:
             return None
         raise DataError(f"{file.name}: broken YAML: {error}; fetch it again") from error
     return _plainer(tree) if isinstance(tree, Mapping) else tree
+
+
+def _of_archive(file: InputFile) -> dict[str, Any] | None:
+    """The small arrays of NumPy's .npz, by their names; None of any other archive."""
+    try:
+        with np.load(io.BytesIO(file.data), allow_pickle=False) as archive:
+            small = [one.filename for one in archive.zip.infolist() if one.file_size < SMALL_BYTES]
+            return {name.removesuffix(".npy"): archive[name].squeeze().tolist() for name in small}
+    except (ValueError, OSError, zipfile.BadZipFile):
+        return None
 
 
 def _of_element(node: Element) -> Any:
@@ -375,16 +392,17 @@ def _floats(value: Any) -> FloatArray:
         return np.empty(0)
 
 
-def _camera_of(file: str, name: str, tree: Mapping[str, Any]) -> WrittenCamera:
-    """Raises DataError for one that lacks something."""
+def _camera_of(file: str, name: str, tree: Mapping[str, Any], picture_px: tuple[int, int] | None) -> WrittenCamera:
+    """Raises DataError for one that lacks something; `picture_px` stands for a size that the file does not have."""
     given = {what: next((tree[key] for key in names if key in tree), ()) for what, names in NAMES.items()}
     matrix, lens = _floats(given["matrix"]), _floats(given["lens"])
     fx, fy, cx, cy = map(float, matrix if matrix.size == 4 else matrix[[0, 4, 2, 5]])
     size: list[Any] = [given["width"], given["height"]]
     if () in size:
-        size = list(_floats(given["size"]))
+        size = list(_floats(given["size"])) or list(picture_px or ())
     if len(size) != 2:
-        raise DataError(f"{file}: the size of the picture is missing; add image_width: … and image_height: …")
+        raise DataError(f"{file}: the size of the picture is missing; add image_width: … and image_height: …, or give "
+                        "--picture-size")  # fmt: skip
     width, height = (count_of(file, one, what) for one, what in zip(size, ("samples", "lines"), strict=True))
     title = str(given["name"] or name or file)
     plain = Camera(name=title, width_px=width, height_px=height, fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy)
@@ -427,11 +445,14 @@ def is_rig(file: InputFile) -> bool:
     return tree is not None and len(_cameras_in(tree)) == 2 and _way_in(tree) is not None
 
 
-def rig_or_camera(files: Sequence[InputFile], unit: LengthUnit | None = None) -> "StereoRig | WrittenCamera | None":
+def rig_or_camera(
+    files: Sequence[InputFile], unit: LengthUnit | None = None, picture_px: tuple[int, int] | None = None
+) -> "StereoRig | WrittenCamera | None":
     """The rig, or the one camera, that one or two files of ROS, OpenCV or Kalibr tell; None where one is none of these.
 
     Two files are of the left and the right camera, or of both cameras and of the way between them. `unit` is that of
-    OpenCV's translation, whose file never says it. Raises DataError.
+    OpenCV's translation, whose file never says it, and `picture_px` the size of pictures of cameras without one. Raises
+    DataError.
     """
     trees = [tree for file in files if (tree := tree_of(file)) is not None]
     if not trees or len(trees) < len(files):
@@ -439,7 +460,7 @@ def rig_or_camera(files: Sequence[InputFile], unit: LengthUnit | None = None) ->
     names = ", ".join(file.name for file in files)
     try:
         named = [(file.name, *one) for file, tree in zip(files, trees, strict=True) for one in _cameras_in(tree)]
-        cameras = [_camera_of(*one) for one in named]
+        cameras = [_camera_of(*one, picture_px) for one in named]
         if len(cameras) == 1 and len(files) == 1:
             return cameras[0]
         if len(cameras) != 2:
@@ -472,18 +493,18 @@ def _exchanged(rig: StereoRig) -> StereoRig:
 
 
 def _rig_of_written(names: str, cameras: list[WrittenCamera], way: _Way | None, unit: LengthUnit | None) -> StereoRig:
-    """A rig whose cameras stand as P of both says, else as the way between them does."""
+    """A rig whose cameras stand as the way between them says, else as P of both does."""
     first, second = cameras
     remarks = [*first.remarks, *(one for one in second.remarks if one not in first.remarks)]
     by_projection = second.from_partner_m - first.from_partner_m
-    if by_projection.any():
-        turns = [np.eye(3) if one.rectification is None else one.rectification for one in cameras]
-        rotation, translation = turns[1].T @ turns[0], turns[1].T @ by_projection
-        remarks.append("baseline from the projection matrices P; intrinsics are those of pictures before rectification")
-    elif way is not None:
+    if way is not None:  # P of OpenCV is in the unit of its T
         scale, notes = _scale_of(float(np.linalg.norm(way.translation)), way.unit or unit)
         rotation, translation = orthonormal(way.rotation), scale * way.translation
         remarks += notes
+    elif by_projection.any():
+        turns = [np.eye(3) if one.rectification is None else one.rectification for one in cameras]
+        rotation, translation = turns[1].T @ turns[0], turns[1].T @ by_projection
+        remarks.append("baseline from the projection matrices P; intrinsics are those of pictures before rectification")
     else:
         raise ParameterError(
             "nothing tells how the two cameras stand to each other; give P of both (ROS), T_cn_cnm1 (Kalibr), or R and "
@@ -495,8 +516,8 @@ def _rig_of_written(names: str, cameras: list[WrittenCamera], way: _Way | None, 
         right=second.camera,
         rotation=rotation,
         translation_m=translation,
-        covariance=covariance_of({}),
-        assumed=(STATED,),
+        covariance=unstated_covariance(first.camera, second.camera, translation),
+        assumed=("its errors",),
         source=f"calibration {names}",
         read_as=tuple(remarks),
     )
@@ -563,11 +584,11 @@ def rig_names() -> tuple[str, ...]:
     return tuple(tomllib.loads(rigs_text()))
 
 
-def read_rig(*sources: str | InputFile) -> StereoRig:
+def read_rig(*sources: str | InputFile, picture_px: tuple[int, int] | None = None) -> StereoRig:
     """A rig by name (`yutu2-navcam`), from a TOML file, from files of ROS, OpenCV or Kalibr, or from two labels.
 
     Labels are PDS4 XML of Chang'E cameras, or text with a CAHV, CAHVOR or CAHVORE model: PDS3 labels and VICAR files.
-    Raises DataError for anything else.
+    `picture_px` is the size of their pictures, where a file of OpenCV does not say it. Raises DataError.
     """
     given, first = tomllib.loads(rigs_text()), str(sources[0]) if sources else ""
     if len(sources) == 1 and first in given:
@@ -579,7 +600,7 @@ def read_rig(*sources: str | InputFile) -> StereoRig:
     }
     refuse(reasons, "", DataError)
     inputs = [read_input(source) for source in sources]
-    written = rig_or_camera(inputs)
+    written = rig_or_camera(inputs, picture_px=picture_px)
     if isinstance(written, StereoRig):
         return written
     if written is not None:

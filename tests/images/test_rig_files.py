@@ -15,11 +15,12 @@ import numpy as np
 import pytest
 from lunarsci.cli import main
 
-from lunarsci.errors import DataError
+from lunarsci.errors import DataError, RequestError
 from lunarsci.guide.info import info
+from lunarsci.guide.template import template
 from lunarsci.images.camera import INTRINSICS, PARAMETERS, Camera, Sensor, StereoRig, covariance_of, rotation_of
 from lunarsci.images.jobs.cameras import CameraSheet, cameras
-from lunarsci.images.rig_files import check_rig_of, read_rig, rig_names, rig_text
+from lunarsci.images.rig_files import check_rig_of, read_pose, read_rig, rig_names, rig_text
 from lunarsci.io.inputs import InputFile
 
 MATRIX = np.array([[700.0, 0.0, 410.0], [0.0, 702.0, 305.0], [0.0, 0.0, 1.0]])
@@ -340,3 +341,48 @@ def test_unknown_rigs_and_pictures_of_others_are_refused() -> None:
         check_rig_of(navcam, 1176, 864, "a.png")
     with pytest.raises(DataError, match="turned"):
         check_rig_of(pancam, 864, 1176, "a.png")
+
+
+def test_what_opencv_writes_of_boards_in_mm_is_a_rig_without_the_size_of_its_pictures(tmp_path: Path) -> None:
+    """With P1 and P2 of `stereoRectify`, whose fourth column has the unit of T, as YAML and as `np.savez`."""
+    size = (800, 600)
+    made = cv2.stereoRectify(MATRIX, np.array(LENS), MATRIX, np.array(LENS), size, TURN, 1e3 * WAY[:, None])
+    values = {"M1": MATRIX, "D1": np.array([LENS]), "M2": MATRIX, "D2": np.array([LENS]), "R": TURN}
+    values |= {"T": 1e3 * WAY[:, None]} | dict(zip(("R1", "R2", "P1", "P2", "Q"), made, strict=False))
+    writer = cv2.FileStorage(str(tmp_path / "whole.yml"), cv2.FILE_STORAGE_WRITE)
+    for key, value in values.items():
+        writer.write(key, np.asarray(value))
+    writer.release()
+    check(the_rig(cameras([str(tmp_path / "whole.yml")], picture_size="800x600")))
+    check(read_rig(str(tmp_path / "whole.yml"), picture_px=size))
+    with pytest.raises(DataError, match="--picture-size"):
+        cameras([str(tmp_path / "whole.yml")])
+    with pytest.raises(RequestError, match="such as 1280x960"):
+        cameras([], picture_size="800")
+    np.savez(tmp_path / "whole.npz", image_size=size, picture=np.zeros((600, 800)), **values)
+    rig = the_rig(cameras([str(tmp_path / "whole.npz")]))
+    check(rig)
+    assert info(str(tmp_path / "whole.npz")).kind == "rig"
+    assert rig.assumed == ("its errors",)
+    assert rig.sigmas["translation_x_m"] == pytest.approx(0.0015, rel=1e-3)
+    assert rig.sigmas["rotation_y_rad"] * 700 == pytest.approx(0.4)
+    np.savez(tmp_path / "ground.npz", height_m=np.zeros((20, 20)), x_m=np.arange(20.0), y_m=np.arange(20.0))
+    assert info(str(tmp_path / "ground.npz")).kind == "terrain"
+
+
+def test_the_template_of_a_rig_is_the_navcam_with_its_errors(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "rig.toml").write_text(template("rig").text)
+    made, known = read_rig(str(tmp_path / "rig.toml")), read_rig("yutu2-navcam")
+    assert (made.left.vector() == known.left.vector()).all() and (made.right.vector() == known.right.vector()).all()
+    assert made.covariance == pytest.approx(known.covariance)
+    assert (made.baseline_m, made.mast_height_m, made.left.size) == (0.27, 1.5, (1024, 1024))
+    text = template("rig").text
+    for line in [line for line in text.splitlines() if line.startswith("# ") and " = " in line and "X_" not in line]:
+        text = text.replace(line, line.removeprefix("# "))
+    assert read_rig(InputFile("rig.toml", text.encode())).sensor == known.sensor
+    assert main(["images", "cameras", str(tmp_path / "rig.toml"), "--field", "rigs.0.baseline_m"]) == 0
+    assert float(capsys.readouterr().out) == 0.27
+    (tmp_path / "pose.toml").write_text(template("pose").text)
+    assert read_pose(str(tmp_path / "pose.toml")).angles_deg() == pytest.approx((0.0, 25.0, 0.0), abs=1e-9)

@@ -168,6 +168,7 @@ def cameras(sources: Sequence[Source] = (), request: CamerasRequest | None = Non
     >>> rigs = lunarsci.cameras(["lunarsci-demo/rig.toml"], disparity_error=0.2)
     """
     request = request_of(CamerasRequest, request, options)
+    size: Any = request.picture_size and tuple(map(int, request.picture_size.split("x")))
     given = [sources] if isinstance(sources, str) else list(sources)
     files: list[Any] = [None if one in rig_names() else read_input(one) for one in given]
     rigs: list[StereoRig] = []
@@ -177,26 +178,26 @@ def cameras(sources: Sequence[Source] = (), request: CamerasRequest | None = Non
         if file is None:
             rigs.append(read_rig(one))  # type: ignore[arg-type]
         elif is_rig(file):
-            rigs.append(rig_or_camera([file], request.translation_unit))  # type: ignore[arg-type]
+            rigs.append(rig_or_camera([file], request.translation_unit, size))  # type: ignore[arg-type]
         elif not _is_toml(file):
             pair.append(file)
         elif single := read_camera(file):
             alone[file.name] = single
         else:
             rigs.append(read_rig(file))
-    of_pair, of_labels = _of_pair(pair, request.translation_unit)
+    of_pair, of_labels = _of_pair(pair, request.translation_unit, size)
     rigs, alone = rigs + of_pair, alone | of_labels
     inputs = {file.name: file.sha256 for file in files if file is not None}
     return CameraSheet(rigs=tuple(rigs), alone=alone, request=request, inputs=inputs)
 
 
 def _of_pair(
-    files: list[InputFile], unit: LengthUnit | None
+    files: list[InputFile], unit: LengthUnit | None, size: tuple[int, int] | None
 ) -> tuple[list[StereoRig], dict[str, LabelCamera | SingleCamera]]:
     """The rig of two labels or files of ROS or OpenCV, and cameras of one, or of labels. Raises DataError."""
     if len(files) > 2:
         raise RequestError(f"{len(files)} labels; give one, or those of the left and the right picture")
-    written = rig_or_camera(files, unit)
+    written = rig_or_camera(files, unit, size)
     if isinstance(written, WrittenCamera):
         name = files[0].name
         return [], {name: SingleCamera(written.camera, np.full((9, 9), np.nan), f"{name}; {'; '.join(written.notes)}")}

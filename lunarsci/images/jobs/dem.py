@@ -110,6 +110,7 @@ class StereoTerrain(Result):
         notes = [*STATEMENTS]
         if self.levelled:
             notes.append("no pose was given: the ground near the rover is taken as level, x points ahead")
+        notes += [f"rig read as: {note}" for note in self.rig.read_as]
         if self.rig.assumed:
             notes.append(f"the rig assumes: {', '.join(self.rig.assumed)}")
         if self.model.synthetic:
@@ -136,9 +137,10 @@ def dem(
     >>> ground = lunarsci.dem(*demo, rig="lunarsci-demo/rig.toml", pose="lunarsci-demo/pose.toml")
     """
     request = request_of(DemRequest, request, options)
-    rig = read_rig(*request.rig.split(",")) if request.rig.count(",") == 1 else read_rig(request.rig)
     files = read_input(left), read_input(right)
     pictures = [read_picture(file) for file in files]
+    names = request.rig.split(",") if request.rig.count(",") == 1 else [request.rig]
+    rig = read_rig(*names, picture_px=pictures[0].size)
     for picture in pictures:
         check_rig_of(rig, *picture.size, picture.source.name)
         picture.check()
@@ -146,14 +148,14 @@ def dem(
     nearest = request.nearest or nearest_ground_m(rig, pose, rig.height_m)
     farthest = request.farthest or farthest_ground_m(rig, request.spacing)
     ties = ties_of(*pictures)
-    names = ", ".join(file.name for file in files)
-    check_sides(rig, ties, names)
+    both = ", ".join(file.name for file in files)
+    check_sides(rig, ties, both)
     known = reliability(rig, ties, pose, LocateRequest().tilt_error)
     try:
         matches = match(pictures[0], pictures[1], rig, nearest_m=nearest, progress=progress)
     except DataError as error:
         if known and (doubts := known.doubts()):
-            raise DataError(f"{names}: {'; '.join(doubts)}") from error
+            raise DataError(f"{both}: {'; '.join(doubts)}") from error
         raise
     place = pose or levelled(matches, rig.height_m)
     model = grid_of(

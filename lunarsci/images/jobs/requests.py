@@ -61,13 +61,17 @@ class CamerasRequest:
     ----------
     disparity_error : Random error of a disparity, in px, for the ranges' errors.
     translation_unit : Of T in a file of OpenCV, which does not say it.
+    picture_size : Width x height in px, where a file of OpenCV does not say it.
     """
 
     disparity_error: float = 0.2
     translation_unit: LengthUnit | None = None
+    picture_size: str | None = None
 
     def __post_init__(self) -> None:
         check_intervals(self, {"(0, 100)": "disparity_error"})
+        if self.picture_size is not None and not re.fullmatch(r"[1-9]\d{0,5}x[1-9]\d{0,5}", self.picture_size):
+            raise RequestError(f"`picture_size` is '{self.picture_size}'; give width and height, such as 1280x960")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
