@@ -33,7 +33,7 @@ from lunarsci.regolith.jobs.requests import WheelForcesRequest
 from lunarsci.result import Doubt, MadeFrom, Result, _column
 
 ROOT = Path(__file__).parents[1]
-NO_FIELDS = {"output", "save_terrain"}
+NO_FIELDS = {"output", "save_terrain", "save_disparity", "save_cloud"}
 """Files that a command writes: no option of a function."""
 WITH_DASHES = {
     "lunarsci/figure.py", "lunarsci/images/jobs/locate.py", "lunarsci/pages/documents.py",

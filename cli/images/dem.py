@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -31,17 +31,33 @@ Terrain = Annotated[
     Path | None,
     typer.Option("--save-terrain", metavar="FILE", help="The elevation model: .npz or .tif, for `twin terrain`."),
 ]
+Disparity = Annotated[
+    Path | None,
+    typer.Option("--save-disparity", metavar="FILE", help="Disparities: .npz with errors, or 16-bit .png (px/256)."),
+]
+Cloud = Annotated[
+    Path | None, typer.Option("--save-cloud", metavar="FILE", help="The points as .ply, with grey and errors.")
+]
 EXAMPLES = (
     "lunarsci images dem lunarsci-demo/left.png lunarsci-demo/right.png \\\n"
     "  --rig lunarsci-demo/rig.toml --pose lunarsci-demo/pose.toml \\\n"
     "  --save-terrain dem.npz",
     "lunarsci images dem lunarsci-demo/left.png lunarsci-demo/right.png \\\n"
-    "  --rig lunarsci-demo/rig.toml --spacing 0.05 --save-terrain coarse.npz",
+    "  --rig lunarsci-demo/rig.toml --spacing 0.05 --save-terrain coarse.npz \\\n"
+    "  --save-cloud cloud.ply --save-disparity disparity.png",
 )
 
 
 @command("dem", EXAMPLES, OPTIONS)
-def dem(left: Left, right: Right, request: DemRequest, output: Output, terrain: Terrain = None) -> Report:
+def dem(
+    left: Left,
+    right: Right,
+    request: DemRequest,
+    output: Output,
+    terrain: Terrain = None,
+    disparity: Disparity = None,
+    cloud: Cloud = None,
+) -> Report:
     """Heights on a grid from a stereo pair, each with a random error and one that all share.
 
     Pictures are rectified by the rig, matched by OpenCV (extra `images`), and refined by least squares that give each
@@ -51,14 +67,12 @@ def dem(left: Left, right: Right, request: DemRequest, output: Output, terrain: 
     from lunarsci.images.jobs.dem import dem
 
     output.check_extra("--save-terrain", terrain, (".npz", ".tif", ".tiff"))
+    output.check_extra("--save-disparity", disparity, (".npz", ".png"))
+    output.check_extra("--save-cloud", cloud, (".ply",))
     made = dem(left, right, request, progress=output.progress("matching"))
-    return Report(made, result_tables(made), extras={} if terrain is None else {terrain: _content(made, terrain)})
-
-
-def _content(result: StereoTerrain, path: Path) -> Callable[[], bytes]:
-    from lunarsci.images.elevation import elevation_bytes, elevation_geotiff
-
-    return lambda: elevation_bytes(result.model) if path.suffix == ".npz" else elevation_geotiff(result.model)
+    files = {terrain: made.terrain_bytes, disparity: made.disparity_bytes, cloud: lambda _: made.cloud_bytes()}
+    extras = {path: partial(content, path.suffix.lower()) for path, content in files.items() if path is not None}
+    return Report(made, result_tables(made), extras=extras)
 
 
 def result_tables(result: StereoTerrain) -> list[TextTable]:

@@ -222,7 +222,7 @@ def change_of(model: ElevationModel, before: ElevationModel, same: BoolArray) ->
         height_m_sigma=np.sqrt(variance + model.layer("height_m_sigma") ** 2),
         height_m_common_sigma=np.sqrt(np.einsum("...i,ij,...j->...", by, covariance, by)),
     )
-    return Change(model=difference, moved=moved, covariance=covariance, rms_z=rms)
+    return Change(model=difference, moved=moved, covariance=np.asarray(covariance), rms_z=rms)
 
 
 def _laid(
@@ -234,9 +234,9 @@ def _laid(
     back, aside, cosine, sine = ahead - moved[0], left - moved[1], math.cos(moved[2]), math.sin(moved[2])
     places = middle[0] + cosine * back + sine * aside, middle[1] - sine * back + cosine * aside
     slopes = np.gradient(mean_about(before.height_m, 1.0), before.spacing_m)
-    slope_y, slope_x = (replace(before, height_m=slope).at("height_m", *places) for slope in slopes)
+    slope_y, slope_x = (replace(before, height_m=np.asarray(slope)).at("height_m", *places) for slope in slopes)
     turned = cosine * slope_x - sine * slope_y, sine * slope_x + cosine * slope_y
-    turn = -turned[0] * -aside - turned[1] * back
+    turn = turned[0] * aside - turned[1] * back
     by = np.stack([-turned[0], -turned[1], turn, np.ones_like(x), ahead, left], axis=-1)
     height = before.at("height_m", *places) + moved[3] + moved[4] * ahead + moved[5] * left
     return height, by, before.at("height_m_sigma", *places) ** 2

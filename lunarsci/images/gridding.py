@@ -75,6 +75,22 @@ def cloud_of(matches: StereoMatches, pose: Pose, farthest_m: float) -> Cloud:
     return Cloud(pose.to_world(local[near]), place[near], d[near], *layers)
 
 
+def cloud_ply(cloud: Cloud, light: FloatArray) -> bytes:
+    """Points with their grey, 0 to 255 up to the brightest of `light` (n,), and random errors [px], as binary PLY (Turk
+    1994). No library in use writes a table with a head like that."""
+    grey = np.clip(255 * light / max(float(light.max()), 1e-9), 0, 255)
+    places = [(name, "<f8") for name in "xyz"]
+    colours = [(name, "u1") for name in ("red", "green", "blue")]
+    table = np.empty(len(cloud.points), dtype=[*places, *colours, ("disparity_px", "<f4"), ("sigma_px", "<f4")])
+    columns = *cloud.points.T, grey, grey, grey, cloud.disparity, cloud.sigma_px
+    for name, values in zip(table.dtype.names or (), columns, strict=True):
+        table[name] = values
+    kinds = {"f8": "double", "u1": "uchar", "f4": "float"}
+    fields = [f"property {kinds[table.dtype[name].str[1:]]} {name}" for name in table.dtype.names or ()]
+    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(table)}", *fields, "end_header", ""]
+    return "\n".join(head).encode() + table.tobytes()
+
+
 def levelled(matches: StereoMatches, height_m: float) -> Pose:
     """A pose at `height_m` over the plane of what is near, which is taken as level: for pictures without one."""
     cloud = cloud_of(matches, Pose(rotation=np.eye(3), center_m=np.zeros(3)), 4 * height_m)

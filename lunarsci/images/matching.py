@@ -11,6 +11,7 @@ matching; what they find is weighed by the light that is left, and their disagre
 and small window are weighed by their errors, that of the field being the relief about it.
 """
 
+import io
 import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -22,7 +23,7 @@ from lunarsci.arrays import FloatArray, robust_fit, robust_scatter
 from lunarsci.compiled import compiled, each_in_threads
 from lunarsci.errors import DataError
 from lunarsci.images.camera import StereoRig
-from lunarsci.images.pictures import Picture, open_cv
+from lunarsci.images.pictures import Picture, open_cv, png_bytes
 from lunarsci.images.reliability import check_sides, ties_of
 from lunarsci.ranges import refuse
 from lunarsci.result import Progress
@@ -359,6 +360,25 @@ class StereoMatches:
     reason: npt.NDArray[np.uint8]
     first: FloatArray
     row_offset_px: float
+
+    def archive(self) -> bytes:
+        """Disparities, their errors and windows, and reasons as a NumPy archive, with what turns them into depths."""
+        made, frame = io.BytesIO(), self.rectified
+        layers: dict[str, Any] = {
+            "disparity_px": self.disparity,
+            "sigma_px": self.sigma_px,
+            "window_px": self.window_px,
+        }
+        own: dict[str, Any] = {"focal_px": frame.focal_px, "center_px": frame.center_px, "baseline_m": frame.baseline_m}
+        own |= {"turn": frame.turn, "reason": self.reason, "reasons": REASONS}
+        np.savez_compressed(made, **{k: v.astype(np.float32) for k, v in layers.items()}, **own)
+        return made.getvalue()
+
+    def picture(self) -> bytes:
+        """Disparities times 256 as a PNG of 16 bits, 0 for none, as those of KITTI (Geiger et al. 2013,
+        10.1177/0278364913491297)."""
+        values = np.clip(np.rint(256 * np.nan_to_num(self.disparity)), 0, 65535)
+        return png_bytes(values.astype(np.uint16), {"Unit": "px / 256"})
 
     def shares(self) -> dict[str, float]:
         """Share of the pixels by reason."""

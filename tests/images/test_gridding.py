@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from lunarsci.cli import main
@@ -229,10 +230,24 @@ def test_scripts_read_what_is_written(
 ) -> None:
     target = tmp_path / "dem.npz"
     arguments = ["images", "dem", files["left"], files["right"], "--rig", files["rig"], "--pose", files["pose"]]
+    arguments += ["--save-cloud", str(tmp_path / "cloud.ply"), "--save-disparity", str(tmp_path / "disparity.png")]
     assert (
         main([*arguments, "--save-terrain", str(target), "--plot", str(tmp_path / "dem.png"), "--json", "--no-time"])
         == 0
     )
+    head, body = (tmp_path / "cloud.ply").read_bytes().split(b"end_header\n", 1)
+    wanted = ["double x", "double y", "double z", "uchar red", "uchar green", "uchar blue", "float disparity_px"]
+    assert re.findall(rb"property (.*)", head) == [w.encode() for w in [*wanted, "float sigma_px"]]
+    kinds = ["<f8"] * 3 + ["u1"] * 3 + ["<f4"] * 2
+    points = np.frombuffer(body, dtype=[(f"f{k}", kind) for k, kind in enumerate(kinds)])
+    assert f"element vertex {len(points)}\n".encode() in head
+    seen = read_elevation(target)
+    apart = points["f2"] - seen.at("height_m", points["f0"], points["f1"])
+    assert abs(np.nanmedian(apart)) < 0.001
+    assert np.isfinite(apart).mean() > 0.9
+    picture = cv2.imread(str(tmp_path / "disparity.png"), cv2.IMREAD_UNCHANGED) / 256
+    assert picture.max() >= points["f6"].max() - 0.003
+    assert (picture > 0).sum() >= len(points) > 20000
     result = json.loads(capsys.readouterr().out)["result"]
     assert sum(result["pixels"].values()) == pytest.approx(1)
     assert result["ranges"][0]["median_height_m_sigma"] < result["ranges"][-1]["median_height_m_sigma"]

@@ -10,8 +10,8 @@ import numpy as np
 
 from lunarsci.errors import DataError
 from lunarsci.images.camera import Pose, StereoRig
-from lunarsci.images.elevation import ElevationModel
-from lunarsci.images.gridding import grid_of, levelled
+from lunarsci.images.elevation import ElevationModel, elevation_bytes, elevation_geotiff
+from lunarsci.images.gridding import cloud_of, cloud_ply, grid_of, levelled
 from lunarsci.images.jobs.requests import CamerasRequest, DemRequest, LocateRequest
 from lunarsci.images.matching import StereoMatches, match
 from lunarsci.images.pictures import read_picture
@@ -52,6 +52,7 @@ class StereoTerrain(Result):
     matches : of the two pictures.
     rig : that took them.
     pose : of its left camera.
+    farthest_m : range up to which points count. [m]
     levelled : whether the pose is one above level ground that was fitted to the points, not a given one.
     reliability : what the pictures say of rig, mast and pose; None where they show too little in common.
     inputs : SHA-256 of each file by its name.
@@ -64,6 +65,7 @@ class StereoTerrain(Result):
     rig: StereoRig
     pose: Pose
     levelled: bool
+    farthest_m: float
     reliability: Reliability | None
     inputs: Mapping[str, str]
 
@@ -104,6 +106,19 @@ class StereoTerrain(Result):
         from lunarsci.images.figures import dem_figure
 
         yield dem_figure(self.model, self.matches, self.pose)
+
+    def terrain_bytes(self, ending: str) -> bytes:
+        """The model as .npz or GeoTIFF."""
+        return elevation_bytes(self.model) if ending == ".npz" else elevation_geotiff(self.model)
+
+    def disparity_bytes(self, ending: str) -> bytes:
+        """What was matched as .npz or .png."""
+        return self.matches.archive() if ending == ".npz" else self.matches.picture()
+
+    def cloud_bytes(self) -> bytes:
+        """The points within the range of the model as PLY, in the world."""
+        cloud = cloud_of(self.matches, self.pose, self.farthest_m)
+        return cloud_ply(cloud, self.matches.left[cloud.pixels[:, 0], cloud.pixels[:, 1]])
 
     def notes(self) -> list[str]:
         """What there is to say about heights and rig."""
@@ -170,7 +185,14 @@ def dem(
     inputs = {file.name: file.sha256 for file in files}
     inputs |= {} if request.pose is None else {request.pose: read_input(request.pose).sha256}
     return StereoTerrain(
-        model=model, matches=matches, rig=rig, pose=place, levelled=pose is None, reliability=known, inputs=inputs
+        model=model,
+        matches=matches,
+        rig=rig,
+        pose=place,
+        levelled=pose is None,
+        farthest_m=farthest,
+        reliability=known,
+        inputs=inputs,
     )
 
 
