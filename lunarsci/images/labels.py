@@ -102,12 +102,7 @@ def fit_cahv(model: CahvModel, name: str) -> LabelCamera:
     plain = replace(lens, lens=None)
     fitted = _fitted(plain, begin, points, pixels, free=slice(0, 9), moves=True)
     pinhole = _fitted(plain, begin, points, pixels, free=slice(0, 4), moves=True)
-    remark = f"the fit to its model misses it by {fitted.residual_max_px:.2g} px at most"
-    return replace(
-        fitted,
-        pinhole_max_px=pinhole.residual_max_px,
-        remarks=(remark,) if fitted.residual_max_px > COARSE_PX else (),
-    )
+    return replace(fitted, pinhole_max_px=pinhole.residual_max_px)
 
 
 def _through(model: CahvModel, name: str) -> tuple[Camera, Pose]:
