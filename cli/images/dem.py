@@ -46,7 +46,7 @@ def dem(left: Left, right: Right, request: DemRequest, output: Output, terrain: 
 
     Pictures are rectified by the rig, matched by OpenCV (extra `images`), and refined by least squares that give each
     disparity its error. Where shadow, occlusion or lack of texture leave no match there is no height, and the picture
-    of --plot says why. `images track`, `images rocks` and `twin terrain` read the model.
+    of --plot says why. `images track` and `twin terrain` read the model.
     """
     from lunarsci.images.jobs.dem import dem
 

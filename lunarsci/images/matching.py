@@ -321,7 +321,7 @@ class StereoMatches:
     Attributes
     ----------
     rectified : the frame they are in.
-    left : light of the left picture in it, in the numbers of its file. (h, w)
+    left, right : light of both pictures in it, rows in line, in the numbers of the left one's file. (h, w)
     disparity, sigma_px : u in the left picture less u in the right one, and its random error; NaN for none. (h, w) [px]
     reason : place in `REASONS` of why there is none. (h, w)
     first : what semi-global matching found. (h, w) [px]
@@ -330,6 +330,7 @@ class StereoMatches:
 
     rectified: Rectified
     left: FloatArray
+    right: FloatArray
     disparity: FloatArray
     sigma_px: FloatArray
     reason: npt.NDArray[np.uint8]
@@ -412,6 +413,7 @@ def match(
     return StereoMatches(
         rectified=frame,
         left=pictures[0].astype(float),
+        right=moved.astype(float),
         disparity=disparity,
         sigma_px=np.where(reason == MATCHED, np.sqrt(sum(np.square(part) for part in parts)), np.nan),
         reason=reason,

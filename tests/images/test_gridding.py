@@ -148,8 +148,8 @@ def model_of(depths: np.ndarray, shift_px: float, sigma_px: float) -> ElevationM
     disparity, blank = FOCAL_PX * BASE_M / depths + shift_px, np.zeros(depths.shape)
     frame = Rectified(np.eye(3), FOCAL_PX, (149.5, 54.5), BASE_M, np.zeros((2, *depths.shape, 2), np.float32))
     matches = StereoMatches(
-        rectified=frame, left=blank, disparity=disparity, sigma_px=blank + sigma_px, reason=blank.astype(np.uint8),
-        first=disparity, row_offset_px=0.0,
+        rectified=frame, left=blank, right=blank, disparity=disparity, sigma_px=blank + sigma_px, first=disparity,
+        reason=blank.astype(np.uint8), row_offset_px=0.0,
     )  # fmt: skip
     rig = dataclasses.replace(small_rig(), covariance=np.zeros((len(PARAMETERS), len(PARAMETERS))))
     return grid_of(matches, rig, ABOVE, name="waves", spacing_m=0.01, farthest_m=20.0)
