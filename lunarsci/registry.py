@@ -152,7 +152,7 @@ KINDS: Mapping[str, KindOfFile] = {
     "camera": KindOfFile("camera", ("images cameras",)),
     "rig": KindOfFile("stereo rig of two cameras", ("images cameras", "images dem --rig", "images locate --rig")),
     "config": KindOfFile("options of commands", ("any command --config",)),
-    "terrain": KindOfFile("heights on a grid", (*GROUND, "images track", "images rocks", "images merge")),
+    "terrain": KindOfFile("heights on a grid", (*GROUND, "images track", "images merge")),
     "zones": KindOfFile("ground to keep out of, or a line", ("twin predict --keep-out", "images track --line")),
     "belief": KindOfFile("belief of a soil", ("twin predict --soil", "twin update --soil", "twin history")),
     "soil map": KindOfFile("soil by place", ("twin predict --soil", "twin update --soil")),
@@ -163,7 +163,7 @@ KINDS: Mapping[str, KindOfFile] = {
     "positions": KindOfFile("localised positions", ("twin states --positions", "twin update --positions")),
     "track": KindOfFile("depth of a track", ("twin states --track", "images render --track")),
     "soils": KindOfFile("soils, a row each", ("twin predict --soil",)),
-    "picture": KindOfFile("picture", ("images dem", "images calibrate", "report")),
+    "picture": KindOfFile("picture", ("images dem", "images rocks", "images calibrate", "report")),
     "result": KindOfFile("result of a command", ("report", "cite")),
     "table": KindOfFile("table of another kind", ()),
 }

@@ -18,6 +18,7 @@ from ..shared.table import TextTable
 if TYPE_CHECKING:
     from lunarsci.images.jobs.dem import StereoTerrain
 
+FILES = "Files"
 OPTIONS = {
     "rig": option(metavar="RIG"),
     "pose": option(metavar="FILE", show_default="ground near the rover taken as level"),
@@ -29,14 +30,27 @@ Left = Annotated[str, typer.Argument(metavar="LEFT", help="Left picture: PNG, TI
 Right = Annotated[str, typer.Argument(metavar="RIGHT", help="Right picture, of the same moment.")]
 Terrain = Annotated[
     Path | None,
-    typer.Option("--save-terrain", metavar="FILE", help="The elevation model: .npz or .tif, for `twin terrain`."),
+    typer.Option(
+        "--save-terrain",
+        metavar="FILE",
+        rich_help_panel=FILES,
+        help="The elevation model: .npz or .tif, for `twin terrain`.",
+    ),
 ]
 Disparity = Annotated[
     Path | None,
-    typer.Option("--save-disparity", metavar="FILE", help="Disparities: .npz with errors, or 16-bit .png (px/256)."),
+    typer.Option(
+        "--save-disparity",
+        metavar="FILE",
+        rich_help_panel=FILES,
+        help="Disparities: .npz with errors, or 16-bit .png (px/256).",
+    ),
 ]
 Cloud = Annotated[
-    Path | None, typer.Option("--save-cloud", metavar="FILE", help="The points as .ply, with grey and errors.")
+    Path | None,
+    typer.Option(
+        "--save-cloud", metavar="FILE", rich_help_panel=FILES, help="The points as .ply, with grey and errors."
+    ),
 ]
 EXAMPLES = (
     "lunarsci images dem lunarsci-demo/left.png lunarsci-demo/right.png \\\n"
@@ -62,7 +76,7 @@ def dem(
 
     Pictures are rectified by the rig, matched by OpenCV (extra `images`), and refined by least squares that give each
     disparity its error. Where shadow, occlusion or lack of texture leave no match there is no height, and the picture
-    of --plot says why. `images track`, `images rocks` and `twin terrain` read the model.
+    of --plot says why. `images track` and `twin terrain` read the model.
     """
     from lunarsci.images.jobs.dem import dem
 

@@ -1,4 +1,4 @@
-"""`lunarsci images rocks`: rocks in an elevation model."""
+"""`lunarsci images rocks`: rocks in a pair of pictures."""
 
 from __future__ import annotations
 
@@ -10,12 +10,15 @@ from ..shared.command import command
 from ..shared.emit import Report
 from ..shared.options import Output, option
 from ..shared.table import TextTable, plus_minus
-from .track import Elevation
+from .dem import Left, Right
 
 if TYPE_CHECKING:
     from lunarsci.images.jobs.rocks import RockList
 
 OPTIONS = {
+    "rig": option(metavar="RIG"),
+    "pose": option(metavar="FILE", show_default="ground near the rover taken as level"),
+    "sun": option(show_default="found from the light of the ground"),
     "largest": option(),
     "false_share": option(),
     "sizes": option(),
@@ -24,22 +27,24 @@ OPTIONS = {
 }
 SHOWN = 20
 """Rocks in the table for people."""
-EXAMPLES = (
-    "lunarsci images rocks ground/terrain.npz",
-    "lunarsci images rocks ground/terrain.npz -o rocks.geojson",
+PAIR = (
+    "lunarsci images rocks lunarsci-demo/left.png lunarsci-demo/right.png \\\n"
+    "  --rig lunarsci-demo/rig.toml --pose lunarsci-demo/pose.toml"
 )
+EXAMPLES = (PAIR, PAIR + " \\\n  --sizes 0.2 -o rocks.geojson")
 
 
 @command("rocks", EXAMPLES, OPTIONS)
-def rocks(output: Output, dem: Elevation, request: RocksRequest) -> Report:
-    """Rocks that stand out of an elevation model: place, size, height, with errors, and how many are missed.
+def rocks(left: Left, right: Right, output: Output, request: RocksRequest) -> Report:
+    """Rocks in a stereo pair: place, size, height, with errors, how sure each is, and how many are missed.
 
-    The same search in the model upside down tells how many finds are false; rocks of known size put into the model
-    tell how many are missed. With -o FILE.geojson the rocks are circles to keep out of.
+    Rocks rendered into the pictures teach what a rock looks like there, and tell how many are missed; the same search
+    with the ground upside down tells how many finds are false. With -o FILE.geojson the rocks are circles to keep out
+    of, and `twin predict` says what may have been missed on the way.
     """
     from lunarsci.images.jobs.rocks import rocks
 
-    result = rocks(dem, request, progress=output.progress("looking for rocks"))
+    result = rocks(left, right, request, progress=output.progress("looking for rocks"))
 
     return Report(result, result_tables(result), formats={".geojson": lambda _: result.geojson()})
 
@@ -53,25 +58,23 @@ def result_tables(result: RockList) -> list[TextTable]:
             f"{row['y_m']:.3f}",
             plus_minus(row["diameter_m"], row["diameter_m_sigma"], digits=3),
             plus_minus(row["height_m"], row["height_m_sigma"], digits=3),
-            f"{row['significance']:.1f}",
+            f"{row['probability']:.2f}",
             f"{row['keepout_m']:.3f}",
         ]
         for row in record["rocks"][:SHOWN]
     ]
     more = len(record["rocks"]) - len(rows)
-    headers = ["rock", "x [m]", "y [m]", "diameter [m]", "height [m]", "sigmas", "keep out [m]"]
+    headers = ["rock", "x [m]", "y [m]", "diameter [m]", "height [m]", "sure", "keep out [m]"]
     notes = [*([f"and {more} more: --csv has all"] if more > 0 else []), *record["notes"]]
     title = f"{len(record['rocks'])} rocks on {record['terrain']['name']}; {record['expected_false_share']:.1%} false"
     shares = [
         [
             f"{row['diameter_m']:g}",
-            "-"
-            if row["sigma_to_m"] != row["sigma_to_m"]
-            else f"{1e3 * row['sigma_from_m']:.2f} to {1e3 * row['sigma_to_m']:.2f}",
+            f"{row['range_from_m']:g} to {row['range_to_m']:g}",
             str(row["trials"]),
             f"{row['share']:.0%} ({row['share_low']:.0%} to {row['share_high']:.0%})",
         ]
         for row in record["completeness"]
     ]
-    tried = TextTable(["diameter [m]", "error of nodes [mm]", "put in", "found (68 %)"], shares, title="Completeness")
+    tried = TextTable(["diameter [m]", "range [m]", "put in", "found (68 %)"], shares, title="Completeness")
     return [TextTable(headers, rows, title=title, notes=notes), tried]

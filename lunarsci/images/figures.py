@@ -108,23 +108,22 @@ def rocks_page(model: ElevationModel, survey: RockSurvey) -> Figure:
     figure = page(4.3)
     headline(figure, f"rocks on {as_label(model.name)}", synthetic=model.synthetic)
     axes: Any = figure.subplots(1, 2, width_ratios=(2, 1))
-    above = 1e3 * survey.above_m
-    high = max(float(np.nanpercentile(above, 99.5)), 1e-3)
-    _map(axes[0], model, above, "height over the ground [mm]", cmap="cividis", vmin=-high, vmax=high)
+    above = 1e3 * model.less_plane()
+    high = max(float(np.nanpercentile(np.abs(above), 99)), 1e-3)
+    _map(axes[0], model, above, "height over the plane [mm]", cmap="cividis", vmin=-high, vmax=high)
     turn = np.linspace(0, 2 * np.pi, 40)
     for rock in survey.rocks:
         around = rock.keepout_m * np.cos(turn) + rock.x_m, rock.keepout_m * np.sin(turn) + rock.y_m
         axes[0].plot(*around, color=MARK, lw=1.0)
     axes[0].set_title(f"{len(survey.rocks)} rocks and what to keep away from")
-    halves = sorted({float(np.nan_to_num(entry.sigma_from_m)) for entry in survey.completeness})
-    for k, start in enumerate(halves):
-        rows = [entry for entry in survey.completeness if np.nan_to_num(entry.sigma_from_m) == start]
+    for k, start in enumerate(sorted({entry.range_from_m for entry in survey.completeness})):
+        rows = [entry for entry in survey.completeness if entry.range_from_m == start]
         size, share = [e.diameter_m for e in rows], [e.share for e in rows]
         bars = np.maximum([[e.share - e.share_low for e in rows], [e.share_high - e.share for e in rows]], 0.0)
-        label = f"error of nodes {1e3 * start:.2f} to {1e3 * rows[0].sigma_to_m:.2f} mm"
+        label = f"at {start:g} to {rows[0].range_to_m:g} m"
         axes[1].errorbar(size, share, bars, label=label, **DOT_STYLES[k % len(DOT_STYLES)])
     axes[1].set(xscale="log", ylim=(-0.03, 1.03), xlabel="diameter [m]", ylabel="share found [-]")
-    legend_below(figure, axes[1], 3)
+    legend_below(figure, axes[1], 2)
     return figure
 
 

@@ -344,7 +344,7 @@ class StereoMatches:
     Attributes
     ----------
     rectified : the frame they are in.
-    left : light of the left picture in it, in the numbers of its file. (h, w)
+    left, right : light of both pictures in it, rows in line, in the numbers of the left one's file. (h, w)
     disparity, sigma_px : u in the left picture less u in the right one, and its random error; NaN for none. (h, w) [px]
     window_px : width over which it is a mean, and over which its error is one. (h, w) [px]
     reason : place in `REASONS` of why there is none. (h, w)
@@ -354,6 +354,7 @@ class StereoMatches:
 
     rectified: Rectified
     left: FloatArray
+    right: FloatArray
     disparity: FloatArray
     sigma_px: FloatArray
     window_px: FloatArray
@@ -457,6 +458,7 @@ def match(
     return StereoMatches(
         rectified=frame,
         left=pictures[0].astype(float),
+        right=moved.astype(float),
         disparity=np.where(known, found, np.nan),
         sigma_px=np.where(known, sigma, np.nan),
         window_px=np.where(known, 2 * HALF_PX + 1 + share * (WIDE_PX - 2 * HALF_PX - 1), np.nan),

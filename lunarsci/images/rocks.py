@@ -1,61 +1,80 @@
-"""Rocks in an elevation model: what stands out of the ground by more than the heights' own errors can.
+"""Rocks in a pair of pictures: what stands out of the ground's disparity and looks like a rock in this light.
 
-How many finds are false follows from the same search in the model upside down, where there are no rocks; how many rocks
-are missed, from rocks of known size that are put into the model and looked for.
+The picture teaches what a rock is. Polyhedra of known size are rendered into both pictures, under the same Sun and on
+the ground that is there; what tells these from bumps of the ground is learned from them (Fisher's discriminant, then
+logistic regression), how many are found again is the completeness, and what they are measured as corrects the measures
+and gives their errors. What the ground looks like, and how many finds are false, tells the same search with the ground
+upside down, where there are no rocks (Elias & Gygi 2007, 10.1038/nmeth1019).
 """
 
-import dataclasses
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import label, maximum_filter, uniform_filter
+import numpy.typing as npt
 
-from lunarsci.arrays import BoolArray, FloatArray, IndexArray, robust_scatter
-from lunarsci.errors import ParameterError
-from lunarsci.images.elevation import ElevationModel, mean_about
+from lunarsci.arrays import BoolArray, FloatArray, robust_fit, robust_scatter
+from lunarsci.errors import DataError
+from lunarsci.images.camera import Pose
+from lunarsci.images.matching import DARK, StereoMatches
+from lunarsci.images.pictures import open_cv
+from lunarsci.images.stones import FLATNESS, SMALLEST_M, Image, Scene, put_stone, spots
+from lunarsci.result import Progress
 
-SCALES_M = (0.03, 0.05, 0.08, 0.13, 0.2, 0.32, 0.5)
-"""Diameters that are looked for: a Gaussian of a size between two of them, which are apart by a factor r = 1.6, loses
-1 - 2 r^0.5 / (1 + r) = 3 % of its significance. [m]"""
-FLATNESS = 0.5
-"""Height over diameter of rocks that are put in for trial, as half ellipsoids: the middle of means of 0.4 to 0.6 at
-landing sites (Golombek & Rapp 1997, 10.1029/96JE03319)."""
-FLATTEST = 0.15
-"""Height over diameter below which a bump is ground, such as a berm beside a track; assumed, below most of the rocks of
-Golombek & Rapp (1997)."""
-AROUND = (2.0, 3.0)
-"""From where to where the ground about a rock is looked at, in the scale at which it stands out most; assumed."""
-LEAST = 3.5
-"""Standard errors below which nothing is a rock; assumed."""
-GROUND_SHARE = 2.5
-"""Scale of the ground that rocks stand out of, in diameters of the largest rock; assumed."""
-ERROR_CLASSES = 8
-"""Classes of errors by which relief and errors are separated; assumed."""
-TRIALS = 60
-"""Rocks of a size put in at a time: their share is known to 0.5 / sqrt(60) = 0.06 or better."""
+ROCK_PX, HALF_PX, RATIO, LEVELS = 7.0, 6, 1.3, 13
+"""A rock is so wide on the level of the pyramid that looks for its size [px], templates are 2 HALF_PX + 1 px wide, and
+levels are apart by this ratio: a Gaussian between two of them loses 1 - 2 r^0.5 / (1 + r) = 1 % of its contrast."""
+RANGES_M = (0.0, 2.5, 3.5, 5.0, 7.0)
+"""Ends of the ranges that completeness is told by. [m]"""
+FEWEST = 12
+"""Rocks put in and found, and decoys, without which nothing is learned; assumed."""
+LEAST = 2.8
+"""Deviations of the ground's own scatter below which nothing is looked at: a search's beginning, not a decision."""
+RINGS = np.array([0.0, 0.2, 0.4, 0.65, 0.9, 1.2])
+"""Radii of the circles about a candidate on which pictures are looked at, in its widths."""
 
 
-class Peaks(NamedTuple):
-    """Nodes at which something stands out. (n,) each
+class Level(NamedTuple):
+    """One level of the pyramid.
 
     Attributes
     ----------
-    rows, columns : of the nodes in the grid: y and x.
-    significance : height over the ground in standard errors, the largest over the scales. [-]
-    scale_m : one of `SCALES_M`, at which it is the largest. [m]
+    width_px : of the rocks that it looks for, in the picture. [px]
+    scale : its pixels over the picture's. [-]
+    images : disparity over the ground's in widths, logarithm of the light, and of its gradient. (3, y, x)
+    stands_out : by how much the middle is over the highest, the second and the third of eight places about it, and over
+        the higher end of the lowest of four lines through it. (4, y, x) [widths]
     """
 
-    rows: IndexArray
-    columns: IndexArray
-    significance: FloatArray
-    scale_m: FloatArray
+    width_px: float
+    scale: float
+    images: Image
+    stands_out: Image
 
-    def only(self, which: list[int] | BoolArray) -> "Peaks":
+
+class Candidates(NamedTuple):
+    """What may be rocks.
+
+    Attributes
+    ----------
+    places : u, v and width. (n, 3) [px]
+    features : what tells rocks from ground. (n, k)
+    stands_out : by how many deviations of the ground's own scatter. (n,)
+    raised_px, disparity : over what is about it, and in all. (n,) [px]
+    """
+
+    places: FloatArray
+    features: FloatArray
+    stands_out: FloatArray
+    raised_px: FloatArray
+    disparity: FloatArray
+
+    def only(self, which: npt.NDArray[np.intp]) -> "Candidates":
         """Some of them."""
-        return Peaks(self.rows[which], self.columns[which], self.significance[which], self.scale_m[which])
+        return Candidates(*(part[which] for part in self))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,9 +84,11 @@ class DetectedRock:
     Attributes
     ----------
     x_m, y_m : its middle. [m]
-    diameter_m, diameter_m_sigma : at the ground, from its area at half its height, and the standard error. [m]
-    height_m, height_m_sigma : of its top over the ground, without the blur of matching, and the standard error. [m]
-    significance : height over its standard error, at the scale at which that is largest. [-]
+    diameter_m, diameter_m_sigma : its width, and the standard error. [m]
+    height_m, height_m_sigma : of its top over the ground, and the standard error. [m]
+    significance : by how many standard deviations of the ground's relief and errors it stands out. [-]
+    probability : that it is a rock. [-]
+    range_m : distance from the left camera. [m]
     keepout_m : radius about the middle in which no wheel should go. [m]
     """
 
@@ -78,26 +99,28 @@ class DetectedRock:
     height_m: float
     height_m_sigma: float
     significance: float
+    probability: float
+    range_m: float
     keepout_m: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Completeness:
-    """Share of rocks of a diameter that are found where the random error of a node lies in a range.
+    """Share of rocks of a diameter that are found at some range, where they are in view.
 
     Attributes
     ----------
-    diameter_m, height_m : of the rocks that were put in for trial. [m]
-    sigma_from_m, sigma_to_m : ends of that range; NaN where the heights state no errors. [m]
-    trials : how many rocks were put in.
-    share : of these, those that were found again. [-]
-    share_low, share_high : ends of the interval of 68 % (Wilson 1927, 10.1080/01621459.1927.10502953). [-]
+    diameter_m, height_m : of the rocks. [m]
+    range_from_m, range_to_m : ends of the range. [m]
+    trials : how many rocks of up to half as large again, or less by that, were put in there.
+    share : of these, those that are found: by logistic regression on size and range over all that were put in. [-]
+    share_low, share_high : ends of its interval of 68 %. [-]
     """
 
     diameter_m: float
     height_m: float
-    sigma_from_m: float
-    sigma_to_m: float
+    range_from_m: float
+    range_to_m: float
     trials: int
     share: float
     share_low: float
@@ -106,260 +129,640 @@ class Completeness:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RockSurvey:
-    """Rocks of an elevation model.
+    """Rocks of a pair.
 
     Attributes
     ----------
-    rocks : the highest significance first.
-    threshold : significance from which something is a rock, in standard errors. [-]
-    false_share : expected share of false ones, from the search upside down. [-]
-    completeness : by diameter and error of the heights.
-    above_m : height over the ground. (ny, nx) [m]
+    rocks : the likeliest first.
+    threshold : least probability of a rock that is listed. [-]
+    false_share : expected share of false ones. [-]
+    completeness : by diameter and range.
+    searched_m2 : area of the ground that was searched. [m2]
+    sun_deg : azimuth, from x towards y, and elevation of the Sun, given or found. [deg]
     """
 
     rocks: tuple[DetectedRock, ...]
     threshold: float
     false_share: float
     completeness: tuple[Completeness, ...]
-    above_m: FloatArray
+    searched_m2: float
+    sun_deg: tuple[float, float]
 
 
 def find_rocks(
-    model: ElevationModel,
+    matches: StereoMatches,
+    pose: Pose,
     *,
-    largest_m: float = 0.5,
+    sun_deg: tuple[float, float] | None = None,
+    largest_m: float = 0.3,
     false_share: float = 0.05,
-    sizes_m: tuple[float, ...] = (0.05, 0.1, 0.2),
+    sizes_m: tuple[float, ...] = (0.05, 0.07, 0.1, 0.2),
     seed: int = 0,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> RockSurvey:
     """Rocks up to a diameter, so few of them false, and how many of `sizes_m` would be found.
 
-    Raises ParameterError for a grid too coarse for any of the scales.
+    `sun_deg` is azimuth, from x towards y, and elevation; without it that under which the ground's slopes look most as
+    they do is taken. Raises DataError where too little ground is seen.
     """
-    if model.spacing_m > 0.25 * largest_m:
-        raise ParameterError(f"{model.name}: nodes every {model.spacing_m:g} m show no rocks of {largest_m:g} m")
-    steps = progress or (lambda *_: None)
-    above = height_over_ground(model, largest_m)
-    finds, rocks = _rocks_of(model, above, _peaks(model, above, largest_m, LEAST))
-    decoys, _ = _rocks_of(model, -above, _alone(_peaks(model, -above, largest_m, LEAST), finds, model.spacing_m))
-    steps(1, 1 + len(sizes_m))
-    threshold, share = _threshold(finds.significance, decoys.significance, false_share)
-    rng = np.random.default_rng(seed)
-    trials: list[Completeness] = []
-    for k, size in enumerate(sizes_m):
-        trials += _tried(model, above, size, largest_m, threshold, rng)
-        steps(2 + k, 1 + len(sizes_m))
+    report, rng = progress or (lambda *_: None), np.random.default_rng(seed)
+    scene, sun_deg = _scene(matches, pose, sun_deg)
+    report(1, 4)
+    search = _Search(scene, largest_m, rng)
+    own, decoys = search.candidates(scene), search.candidates(scene, upside_down=True)
+    report(2, 4)
+    trials = [search.trial() for _ in range(2)]
+    put, chosen = (np.concatenate([trial[k] for trial in trials]) for k in (0, 2))
+    again = Candidates(
+        *(np.concatenate([part[k[k >= 0]] for _, c, k in trials for part in [c[n]]]) for n in range(len(own)))
+    )
+    report(3, 4)
+    sure, chances, threshold, again_scores = _sure(own, decoys, again, false_share, rng)
+    found = np.zeros(len(put), dtype=bool)
+    found[chosen >= 0] = again_scores >= threshold
+    rocks: Iterator[DetectedRock] = iter(())
+    if len(sure):
+        measures = _Measures.learned(scene, put[chosen >= 0], again)
+        rocks = measures.rocks(own.only(sure), chances, pose, matches.rectified.turn)
     return RockSurvey(
-        rocks=tuple(rock for rock in rocks if rock.significance >= threshold),
-        threshold=threshold,
-        false_share=share,
-        completeness=tuple(trials),
-        above_m=above,
+        rocks=tuple(rocks),
+        threshold=float(chances.min(initial=1.0)),
+        false_share=float(1.0 - chances.mean()) if len(chances) else 0.0,
+        completeness=tuple(_completeness(scene, put, found, sizes_m)),
+        searched_m2=_area_m2(scene),
+        sun_deg=sun_deg,
     )
 
 
-def height_over_ground(model: ElevationModel, largest_m: float) -> FloatArray:
-    """Heights less the ground's, which is smooth over `GROUND_SHARE` times the largest rock. (ny, nx) [m]
+def _sure(
+    own: Candidates, decoys: Candidates, again: Candidates, false_share: float, rng: np.random.Generator
+) -> tuple[npt.NDArray[np.intp], FloatArray, float, FloatArray]:
+    """Numbers of the candidates that are rocks, their probabilities, the least score of these, and that of `again`.
 
-    The ground is the mean under a Gaussian, of what does not stand out of it, after a plane is taken off.
+    No candidate is one where hardly a rock that was put in became one: `again` are those.
     """
-    rest = above = model.less_plane()
-    part = valid = np.isfinite(rest)
-    for _ in range(4):
-        above = rest - mean_about(np.where(part, rest, np.nan), 0.5 * GROUND_SHARE * largest_m / model.spacing_m)
-        part = valid & (np.abs(above) < 2.5 * max(robust_scatter(above[valid]), 1e-12))
-    return above
-
-
-def _peaks(model: ElevationModel, above: FloatArray, largest_m: float, least: float) -> Peaks:
-    """Nodes that stand out most among those within their own scale, by `least` standard errors, the surest first.
-
-    `above` is the height over the ground (ny, nx) [m], as in what follows.
-    """
-    significance, scale = _standing_out(model, above, largest_m)
-    alone = max(3, round(0.06 / model.spacing_m)) | 1
-    rows, columns = np.nonzero((significance >= least) & (significance == maximum_filter(significance, alone)))
-    order = np.argsort(-significance[rows, columns], kind="stable")
-    rows, columns = rows[order], columns[order]
-    peaks = Peaks(rows, columns, significance[rows, columns], scale[rows, columns])
-    return peaks.only(_apart(rows, columns, 0.7 * np.maximum(peaks.scale_m, 0.05) / model.spacing_m))
-
-
-def _apart(rows: IndexArray, columns: IndexArray, reach: FloatArray, most: float = math.inf) -> list[int]:
-    """Numbers of the nodes that lie beyond the reach of all those taken before them, and these beyond theirs.
-
-    Rows, columns and reach (n,) are in nodes; at most `most` are taken.
-    """
-    chosen: list[int] = []
-    for k in range(len(rows)):
-        away = np.hypot(rows[chosen] - rows[k], columns[chosen] - columns[k])
-        if (away > np.maximum(reach[k], reach[chosen])).all():
-            chosen.append(k)
-        if len(chosen) == most:
+    if len(again.places) < FEWEST or len(decoys.places) < FEWEST:
+        return np.empty(0, dtype=np.intp), np.empty(0), math.inf, np.zeros(len(again.places))
+    for _ in range(2):
+        scores = _scored(own.features, decoys.features, again.features, rng)
+        alone, mirrored = (_alone(c.places, z) for c, z in zip((own, decoys), scores, strict=False))
+        mirrored = mirrored[~_beside(decoys.only(mirrored), scores[1][mirrored], own.only(alone), scores[0][alone])]
+        false, rest = scores[1][mirrored], decoys.only(mirrored)
+        if len(mirrored) < FEWEST:
             break
-    return chosen
+        decoys = rest
+    doubt, threshold = _false_rate(scores[0][alone], false, false_share)
+    sure = alone[scores[0][alone] >= threshold]
+    return sure, 1.0 - doubt(scores[0][sure]), threshold, scores[2]
 
 
-def _standing_out(model: ElevationModel, above: FloatArray, largest_m: float) -> tuple[FloatArray, FloatArray]:
-    """Largest significance over the scales at each node, and its scale. (ny, nx), (ny, nx) [m]
+def _blurred(values: Image, sigma: float) -> Image:
+    """Under a Gaussian; under three squares of its variance where it is wide. (h, w)"""
+    cv2 = open_cv()
+    if sigma < 4:
+        return np.asarray(cv2.GaussianBlur(values, (0, 0), sigma), dtype=np.float32)
+    side = round(math.sqrt(4 * sigma**2 + 1)) | 1
+    for _ in range(3):
+        values = cv2.blur(values, (side, side))
+    return values
 
-    At each scale heights are averaged under a Gaussian less a ring about it. What they scatter by is the ground's own
-    relief, the same everywhere, and the model's errors, where these are larger: both of the whole map, robustly.
+
+def _scene(
+    matches: StereoMatches, pose: Pose, sun_deg: tuple[float, float] | None
+) -> tuple[Scene, tuple[float, float]]:
+    """The pair with its ground, and azimuth and elevation of the Sun [deg], found where they are not given."""
+    frame, ground = matches.rectified, _ground(matches.disparity)
+    left, right = (np.asarray(p, dtype=np.float32) for p in (matches.left, matches.right))
+    near = _blurred(np.isfinite(matches.disparity).astype(np.float32), 4.0) > 0.01
+    lit = _blurred(left, 15.0) > DARK * np.percentile(left, 90)
+    depth = frame.focal_px * frame.baseline_m / np.maximum(ground, 1.0)
+    shown = np.arange(left.shape[1]) - ground > HALF_PX
+    searched = near & lit & shown & (depth < RANGES_M[-1])
+    if searched.sum() < 1e4:
+        raise DataError(f"less than 10,000 pixels of lit ground within {RANGES_M[-1]:g} m are seen by both cameras")
+    turn = frame.turn @ pose.rotation.T
+    above = _parallax(ground, left, right)
+    lens = frame.focal_px, frame.center_px, frame.baseline_m
+    scene = Scene(left, right, ground, above, searched, *lens, turn[:, 2], turn[:, 2])
+    sun_deg = sun_deg or _likeliest_sun(scene, turn)
+    return scene._replace(sun=turn @ _direction(*sun_deg)), sun_deg
+
+
+def _direction(azimuth_deg: float, elevation_deg: float) -> FloatArray:
+    """Unit vector of an azimuth, from x towards y, and an elevation. (3,)"""
+    turn, rise = math.radians(azimuth_deg), math.radians(elevation_deg)
+    return np.array([math.cos(rise) * math.cos(turn), math.cos(rise) * math.sin(turn), math.sin(rise)])
+
+
+def _likeliest_sun(scene: Scene, turn: FloatArray) -> tuple[float, float]:
+    """Azimuth and elevation [deg], in steps of 15, whose light on the slopes goes best with that of the picture.
+
+    Light is that of Lommel and Seeliger; compared are logarithms less their means about, by their correlation.
+    `turn` turns a direction of the world into the frame.
     """
-    valid = np.isfinite(above)
-    sigma = model.layer("height_m_sigma")
-    error = np.where(np.isfinite(sigma) & (sigma > 0), sigma, 1.0)
-    best, scale = np.full(above.shape, -np.inf), np.zeros(above.shape)
-    for size in SCALES_M:
-        width = 0.3 * max(size, float(np.nanmedian(model.layer("resolution_m"))) or 0.0) / model.spacing_m
-        if size > largest_m or width < 0.4:
-            continue
-        rise = mean_about(above, width) - mean_about(above, 2.5 * width)
-        relief, share = _scatter(rise[valid], error[valid])
-        significance = np.where(valid, rise / np.maximum(np.hypot(relief, share * error), 1e-12), -np.inf)
-        better = significance > best
-        best[better], scale[better] = significance[better], size
-    return best, scale
+    cv2 = open_cv()
+    disparity, small = scene.ground + scene.above, 0.125
+    d, light, part = (
+        cv2.resize(_blurred(a, 4.0), None, fx=small, fy=small, interpolation=cv2.INTER_LINEAR)
+        for a in (disparity, scene.left, scene.searched.astype(np.float32))
+    )
+    v, u = np.mgrid[: d.shape[0], : d.shape[1]] + 0.5
+    pixels = np.column_stack([u.ravel(), v.ravel()]) / small - 0.5
+    points = scene.points(pixels, np.maximum(d.ravel(), 1.0)).reshape(*d.shape, 3)
+    down, across = np.gradient(points, axis=0), np.gradient(points, axis=1)
+    normal, view = np.cross(across, down), -points / np.linalg.norm(points, axis=-1, keepdims=True)
+    normal *= np.sign((normal * view).sum(-1, keepdims=True)) / np.linalg.norm(normal, axis=-1, keepdims=True)
+    good = part > 0.99
+
+    def about(values: FloatArray) -> FloatArray:
+        logs = np.log(np.maximum(values, 0.0) + 0.05).astype(np.float32)
+        return np.asarray((logs - _blurred(logs, 8.0))[good], dtype=float)
+
+    seen, best, found = about(light / np.percentile(light, 90)), -2.0, (0.0, 30.0)
+    for azimuth in range(0, 360, 15):
+        for rise in (15, 30, 45, 60):
+            mu0 = np.maximum(normal @ (turn @ _direction(azimuth, rise)), 0.0)
+            mu = np.maximum((normal * view).sum(-1), 0.02)
+            alike = float(np.corrcoef(about(mu0 / (mu0 + mu)), seen)[0, 1])
+            if alike > best:
+                best, found = alike, (float(azimuth), float(rise))
+    return found
 
 
-def _scatter(values: FloatArray, error: FloatArray) -> tuple[float, float]:
-    """The part of the scatter of values (n,) that is the same everywhere, in their unit, and the factor by which errors
-    (n,) add to it [-]."""
-    from scipy.optimize import nnls
+def _ground(disparity: FloatArray) -> Image:
+    """Disparity of the smooth ground: a quadric, and what is left of it under a wide Gaussian, robustly. (h, w) [px]"""
+    height, width = disparity.shape
+    v, u = np.mgrid[:height, :width] / np.array([height, width])[:, None, None] - 0.5
+    terms = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1)
+    valid = np.isfinite(disparity)
+    part = valid
+    for _ in range(4):
+        plane = np.linalg.lstsq(terms[part][::37], disparity[part][::37], rcond=None)[0]
+        rest = disparity - terms @ plane
+        part = valid & (np.abs(rest) < 4 * robust_scatter(rest[valid], 0.0))
+    part = valid
+    for _ in range(4):
+        weight = _blurred(part.astype(np.float32), 30.0)
+        mean = _blurred(np.where(part, rest, 0.0).astype(np.float32), 30.0)
+        mean = np.where(weight > 1e-3, mean / np.maximum(weight, 1e-3), 0.0)
+        part = valid & (np.abs(rest - mean) < 3 * robust_scatter((rest - mean)[valid], 0.0))
+    return np.asarray(terms @ plane + mean, dtype=np.float32)
 
-    classes = np.searchsorted(np.quantile(error, np.linspace(0, 1, ERROR_CLASSES + 1)[1:-1]), error)
-    members = [classes == k for k in np.unique(classes)]
-    scatter = np.array([robust_scatter(values[part], 0.0) ** 2 for part in members])
-    design = np.array([[1.0, float(np.median(error[part])) ** 2] for part in members])
-    weight = 1.0 / np.maximum(scatter, 1e-12)
-    relief, share = np.sqrt(nnls(design * weight[:, None], scatter * weight)[0])
-    return float(relief), float(share)
 
+def _parallax(ground: Image, left: Image, right: Image) -> Image:
+    """Disparity over that of the smooth ground, first in a quarter of the size, then about that. (h, w) [px]
 
-def _alone(decoys: Peaks, finds: Peaks, spacing_m: float) -> Peaks:
-    """Decoys that are not the dip that a rock beside them, which stands out more, makes in its surroundings."""
-    reach = 1.5 * (np.maximum(finds.scale_m, 0.05) + np.maximum(decoys.scale_m, 0.05)[:, None]) / spacing_m
-    away = np.hypot(finds.rows - decoys.rows[:, None], finds.columns - decoys.columns[:, None])
-    return decoys.only(~((away <= reach) & (finds.significance >= decoys.significance[:, None])).any(axis=1))
-
-
-def _threshold(true: FloatArray, false: FloatArray, false_share: float) -> tuple[float, float]:
-    """Least significance at which at most such a share of the finds is false, and that share.
-
-    `true` are the significances of the finds (n,), `false` those of the search upside down (m,). The number of false
-    ones is that of the search upside down, and half a one more.
+    Each is that of the least sum of squares under a Gaussian, a mean by how sharp its minima are: in the dark and on
+    what is plain the surroundings decide.
     """
-    for level in np.sort(np.append(true, LEAST)):
-        finds, decoys = int((true >= level).sum()), int((false >= level).sum())
-        if level >= LEAST and (finds == 0 or (decoys + 0.5) / finds <= false_share or decoys == 0):
-            return float(level), decoys / finds if finds else 0.0
-    return float(true.max()) + 1.0, 0.0
+    cv2, top = open_cv(), 0.06 * np.percentile(left, 90)
+    left, right = (p / (_blurred(p, 12.0) + top) for p in (left, right))
+    quarter = [cv2.resize(p, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA) for p in (left, right, ground)]
+    coarse, sharp = _least_squares(*quarter[:2], quarter[2] / 4, np.arange(-2.0, 6.1, 0.5), 1.5)
+    coarse = _weighted(cv2.medianBlur(coarse, 3), sharp, 0.05, (1.5,))
+    base = _blurred(4 * cv2.resize(coarse, left.shape[::-1], interpolation=cv2.INTER_LINEAR), 3.0)
+    fine, sharp = _least_squares(left, right, ground + base, np.arange(-2.5, 3.6, 0.5), 2.0)
+    return _weighted(cv2.medianBlur(base + fine, 3), sharp, 0.5, (1.0, 3.0, 9.0))
 
 
-def _rocks_of(model: ElevationModel, above: FloatArray, peaks: Peaks) -> tuple[Peaks, list[DetectedRock]]:
-    """Peaks that are as high as rocks of their diameter are, the surest first, each rock once; and their rocks."""
+def _least_squares(left: Image, right: Image, base: Image, steps: FloatArray, sigma: float) -> tuple[Image, Image]:
+    """Disparity over a base (h, w) at the least sum of squares, and the curvature there, of even steps [px]."""
+    cv2 = open_cv()
+    v, u = np.mgrid[: left.shape[0], : left.shape[1]].astype(np.float32)
+    sums = np.empty((len(steps), *left.shape), dtype=np.float32)
+    for layer, step in zip(sums, steps, strict=True):
+        moved = cv2.remap(right, u - base - np.float32(step), v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        layer[:] = _blurred((moved - left) ** 2, sigma)
+    least = np.clip(sums.argmin(axis=0), 1, len(steps) - 2)[None]
+    low, middle, high = (np.take_along_axis(sums, least + k, 0)[0] for k in (-1, 0, 1))
+    bend = np.maximum(low - 2 * middle + high, 1e-12)
+    off = np.clip(0.5 * (low - high) / bend, -0.5, 0.5)
+    return (steps[least[0]] + (steps[1] - steps[0]) * off).astype(np.float32), bend
+
+
+def _weighted(values: Image, sharp: Image, floor: float, sigmas: tuple[float, ...]) -> Image:
+    """Means under Gaussians, the wide ones where all that is near is blunt: below `floor` of the median. (h, w)"""
+    weight = (sharp / (sharp + floor * np.median(sharp))) ** 2 + 1e-6
+    total, sums = np.zeros_like(values), np.zeros_like(values)
+    for sigma in sigmas:
+        share = 1.0 if sigma == sigmas[0] else 0.03
+        total, sums = total + share * _blurred(weight * values, sigma), sums + share * _blurred(weight, sigma)
+    return np.asarray(total / sums)
+
+
+def _pyramid(scene: Scene) -> list[Level]:
+    """What a pair shows, level by level."""
+    cv2, left = open_cv(), scene.left
+    above = np.where(scene.searched, scene.above, 0.0).astype(np.float32)
+    light = np.log(np.maximum(left, 0.0) / np.percentile(left, 90) + 0.03).astype(np.float32)
+    slope = cv2.Sobel(light, cv2.CV_32F, 1, 0) ** 2 + cv2.Sobel(light, cv2.CV_32F, 0, 1) ** 2
+    images = above, light, np.log(_blurred(slope, 1.0) + 0.01)
+    levels = []
+    for width in ROCK_PX * RATIO ** np.arange(LEVELS):
+        scale, shape = ROCK_PX / width, tuple(round(n * ROCK_PX / width) for n in left.shape[::-1])
+        small = np.stack(
+            [
+                cv2.resize(_blurred(i, 0.25 / scale) if scale < 1 else i, shape, interpolation=cv2.INTER_LINEAR)
+                for i in images
+            ]
+        )
+        small[0] /= width
+        levels.append(Level(float(width), scale, small, _stands_out(small[0])))
+    return levels
+
+
+def _stands_out(above: Image) -> Image:
+    """`Level.stands_out` of a level's disparity (y, x) [widths]."""
+    cv2, outer = open_cv(), _blurred(above, 0.2 * ROCK_PX)
+    about, ranked = [], [np.full_like(above, -np.inf) for _ in range(3)]
+    for turn in np.arange(8) * math.pi / 4:
+        way = 0.9 * ROCK_PX * math.cos(turn), 0.8 * ROCK_PX * math.sin(turn)
+        moved = np.array([[1, 0, -way[0]], [0, 1, -way[1]]], dtype=np.float32)
+        lower = cv2.warpAffine(outer, moved, above.shape[::-1], borderMode=cv2.BORDER_REPLICATE)
+        about.append(lower)
+        for k, high in enumerate(ranked):
+            ranked[k], lower = np.maximum(high, lower), np.minimum(high, lower)
+    lines = np.maximum.reduce([np.minimum(a, b) for a, b in zip(about[:4], about[4:], strict=True)])
+    return _blurred(above, 0.25 * ROCK_PX) - np.stack([*ranked, lines])
+
+
+class _Search:
+    """A search for rocks in one picture, with the templates and the scatter that it has from this picture."""
+
+    def __init__(self, scene: Scene, largest_m: float, rng: np.random.Generator) -> None:
+        self.scene, self.largest_m, self.rng = scene, largest_m, rng
+        self.levels = _pyramid(scene)
+        _, changed, shown = self._put()
+        taught = _pyramid(changed)
+        patches = []
+        for place in shown:
+            number = round(math.log(max(place[2], 1.0) / ROCK_PX) / math.log(RATIO))
+            if 0 <= number < LEVELS:
+                patches.append(self._patch(taught[number], place))
+        self.templates = [self._template(level, np.array(patches)) for level in self.levels]
+        self.scatter: list[list[tuple[Image, Image]]] = []
+        self.scatter = [
+            [_by_range(layer, self.mask(level)) for layer in self._layers(k, level)]
+            for k, level in enumerate(self.levels)
+        ]
+
+    def mask(self, level: Level) -> tuple[BoolArray, Image]:
+        """Where a level looks, and the logarithm of the ground's disparity. (y, x) each"""
+        cv2, shape = open_cv(), level.images.shape[:0:-1]
+        ground = cv2.resize(self.scene.ground, shape, interpolation=cv2.INTER_LINEAR)
+        part = cv2.resize(self.scene.searched.astype(np.uint8), shape, interpolation=cv2.INTER_NEAREST) > 0
+        across = level.width_px * self.scene.baseline_m / np.maximum(ground, 1.0)
+        part &= (across > SMALLEST_M / RATIO) & (across < 1.5 * self.largest_m)
+        part[:4] = part[-4:] = part[:, :4] = part[:, -4:] = False
+        return part, np.log(np.maximum(ground, 1.0))
+
+    @staticmethod
+    def _patch(level: Level, place: FloatArray) -> FloatArray:
+        """Light and gradient about a place of the picture, less their means. (2, n)"""
+        cv2, side = open_cv(), 2 * HALF_PX + 1
+        u, v = (place[:2] + 0.5) * level.scale - 0.5
+        rows = np.stack([cv2.getRectSubPix(i, (side, side), (float(u), float(v))).ravel() for i in level.images[1:]])
+        return np.asarray(rows - rows.mean(axis=1, keepdims=True), dtype=float)
+
+    def _template(self, level: Level, patches: FloatArray) -> Image | None:
+        """Fisher's discriminant of light and gradient, rocks (n, 2, m) from the ground of a level. (2, y, x)"""
+        part = self.mask(level)[0][HALF_PX:-HALF_PX, HALF_PX:-HALF_PX]
+        places = np.argwhere(part)
+        if len(places) < 600:
+            return None
+        side = 2 * HALF_PX + 1
+        windows = np.lib.stride_tricks.sliding_window_view(level.images[1:], (side, side), axis=(1, 2))
+        chosen = places[self.rng.permutation(len(places))[:2000]]
+        ground = windows[:, chosen[:, 0], chosen[:, 1]].reshape(2, len(chosen), -1).swapaxes(0, 1).astype(float)
+        ground -= ground.mean(axis=2, keepdims=True)
+        unit = np.median(np.sqrt((ground**2).mean(axis=2)), axis=0)[:, None]
+        rows = (ground / unit).reshape(len(ground), -1)
+        apart = ((rows - rows.mean(axis=0)) ** 2).sum(axis=1)
+        rows = rows[apart < np.quantile(apart, 0.95)]
+        spread = np.cov(rows.T)
+        spread += 0.2 * np.trace(spread) / len(spread) * np.eye(len(spread))
+        mean = (patches / unit).reshape(len(patches), -1).mean(axis=0) - rows.mean(axis=0)
+        weights = np.linalg.solve(spread, mean)
+        weights = (weights / math.sqrt(weights @ spread @ weights)).reshape(2, -1)
+        weights = (weights - weights.mean(axis=1, keepdims=True)) / unit
+        return np.asarray(weights.reshape(2, side, side), dtype=np.float32)
+
+    def _layers(self, number: int, level: Level) -> list[Image]:
+        """How far each place of a level stands out, and how much it looks like a rock. 5 of (y, x)"""
+        cv2, template = open_cv(), self.templates[number]
+        if template is None:
+            return []
+        pairs = zip(level.images[1:], template, strict=True)
+        looks = sum(cv2.filter2D(i, cv2.CV_32F, t, borderType=cv2.BORDER_REFLECT) for i, t in pairs)
+        return [*level.stands_out, looks]
+
+    def candidates(self, scene: Scene, upside_down: bool = False) -> Candidates:
+        """What stands out or looks like a rock, more than all within 0.6 of its width."""
+        levels = self.levels if scene is self.scene else _pyramid(scene)
+        if upside_down:
+            levels = [_turned(level) for level in levels]
+        places, features, sigmas, raised = [], [], [], []
+        for number, level in enumerate(levels):
+            layers = self._layers(number, level)
+            if not layers:
+                continue
+            part, _ = self.mask(level)
+            z = np.stack([(a - m) / s for a, (m, s) in zip(layers, self.scatter[number], strict=True)])
+            total = 0.5 * np.clip(z[2:4], -3, 12).sum(axis=0) + 0.3 * np.clip(z[4], -4, 20)
+            peak = (total == open_cv().dilate(total, np.ones((5, 5), np.uint8))) & part & (total > LEAST)
+            y, x = np.nonzero(peak)
+            place = np.column_stack([x + 0.5, y + 0.5]) / level.scale - 0.5
+            about = _features(level, np.column_stack([x, y]).astype(np.float32))
+            at = z[:, y, x].T
+            places.append(np.column_stack([place, np.full(len(x), level.width_px)]))
+            features.append(np.column_stack([np.sign(at) * np.log1p(np.abs(at)), about]))
+            sigmas.append(total[y, x])
+            raised.append(level.width_px * np.sinh(about[:, 1]) / 20)
+        if not places:
+            raise DataError("too little lit ground is seen near enough for rocks")
+        where = np.concatenate(places)
+        parts = (np.concatenate(part) for part in (features, sigmas, raised))
+        found = Candidates(where, *parts, scene.feet(where)[1])
+        return found.only(_alone(found.places, found.stands_out, 0.6))
+
+    def _put(self) -> tuple[FloatArray, Scene, FloatArray]:
+        """Rocks put in (n, 4): u, v, diameter, height [m]; the scene then; what shows of each, u, v, width, height."""
+        scene = self.scene
+        put = spots(scene, self.largest_m, self.rng)
+        pictures = scene.left.copy(), scene.right.copy()
+        noise = 0.004 * float(np.percentile(scene.left, 90))
+        shown = np.array([put_stone(scene, pictures, spot, noise, self.rng) for spot in put])
+        seen = np.isfinite(shown).all(axis=1)
+        changed = scene._replace(left=pictures[0], right=pictures[1], above=_parallax(scene.ground, *pictures))
+        return put[seen], changed, shown[seen]
+
+    def trial(self) -> tuple[FloatArray, Candidates, npt.NDArray[np.intp]]:
+        """Rocks put in, candidates of that picture, and which of these is each of those; -1 for none. (n, 4), (n,)"""
+        put, changed, shown = self._put()
+        found = self.candidates(changed)
+        chosen = np.full(len(put), -1, dtype=np.intp)
+        for k, (u, v, width, height) in enumerate(shown):
+            apart = np.abs(found.places[:, :2] - (u, v))
+            on = np.flatnonzero((apart[:, 0] < 0.5 * width + 1) & (apart[:, 1] < 0.5 * height + 1))
+            if len(on):
+                chosen[k] = on[found.stands_out[on].argmax()]
+        return put, found, chosen
+
+
+def _turned(level: Level) -> Level:
+    """A level with the ground upside down."""
+    images = level.images * np.array([-1, 1, 1], dtype=np.float32)[:, None, None]
+    return level._replace(images=images, stands_out=_stands_out(images[0]))
+
+
+def _by_range(layer: Image, where: tuple[BoolArray, Image]) -> tuple[Image, Image]:
+    """Median and robust scatter of a layer at the disparity of each place: of six classes, between them linear."""
+    part, ground = where
+    if part.sum() < 600:
+        return np.zeros_like(layer), np.full_like(layer, np.inf)
+    values, at = layer[part], ground[part]
+    edges = np.quantile(at, np.linspace(0, 1, 7))
+    classes = [values[(at >= low) & (at <= high)] for low, high in pairwise(edges)]
+    middles = 0.5 * (edges[1:] + edges[:-1])
+    numbers = [np.median(c) for c in classes], [max(robust_scatter(c), 1e-9) for c in classes]
+    return tuple(np.interp(ground, middles, n).astype(np.float32) for n in numbers)  # type: ignore[return-value]
+
+
+def _features(level: Level, places: Image) -> FloatArray:
+    """What eight rays from places x, y (n, 2) of a level meet: of disparity, light, gradient, and size. (n, 15)"""
+    turns = np.arange(8) * math.pi / 4
+    x = places[:, :1, None] + ROCK_PX * RINGS[:, None] * np.cos(turns)
+    y = places[:, 1:, None] + 0.8 * ROCK_PX * RINGS[:, None] * np.sin(turns)
+    if not len(places):
+        return np.empty((0, 15))
+    flat = [a.reshape(len(places), -1).astype(np.float32) for a in (x, y)]
+    above, light, slope = (
+        open_cv()
+        .remap(np.ascontiguousarray(i), *flat, open_cv().INTER_LINEAR, borderMode=open_cv().BORDER_REPLICATE)
+        .reshape(x.shape)
+        for i in level.images
+    )
+    out = [part[:, 4:].mean(axis=1) for part in (above, light, slope)]
+    height, bright, rough = (np.sort(part, axis=1) for part in out)
+    inner = np.sort(above[:, :4].reshape(len(x), -1), axis=1), np.sort(light[:, :4].reshape(len(x), -1), axis=1)
+    middle, dark, grain = above[:, :3].mean(axis=(1, 2)), inner[1][:, :6].mean(axis=1), slope[:, :4].mean(axis=(1, 2))
+    lines = [(np.maximum(o[:, :4], o[:, 4:]), np.minimum(o[:, :4], o[:, 4:])) for o in out]
+    stretched = np.arcsinh(
+        20
+        * np.column_stack(
+            [
+                middle - height[:, -2],
+                middle - np.median(height, axis=1),
+                middle - out[0][:, 1:4].max(axis=1),
+                inner[0][:, -8:].mean(axis=1) - np.median(height, axis=1),
+                above[:, :4].std(axis=(1, 2)),
+            ]
+        )
+    )
+    rest = [
+        dark - bright[:, 2],
+        inner[1][:, -5:].mean(axis=1) - bright[:, -3],
+        bright[:, 2] - bright[:, -2],
+        dark - lines[1][0].min(axis=1),
+        dark - lines[1][1].min(axis=1),
+        grain - rough[:, 3],
+        grain - rough[:, 6],
+        grain - lines[2][1].max(axis=1),
+        grain - lines[2][0].max(axis=1),
+        np.full(len(x), math.log(level.width_px)),
+    ]
+    return np.column_stack([stretched, *rest])
+
+
+def _alone(places: FloatArray, rank: FloatArray, reach: float = 0.9) -> npt.NDArray[np.intp]:
+    """Numbers of places (n, 3) [px] that lie within `reach` widths of none of a higher rank, the highest first."""
     chosen: list[int] = []
-    rocks: list[DetectedRock] = []
-    for k in range(len(peaks.rows)):
-        rock = _measured(model, above, peaks, k)
-        again = any(math.hypot(rock.x_m - r.x_m, rock.y_m - r.y_m) < 0.5 * r.diameter_m for r in rocks)
-        if rock.height_m >= FLATTEST * rock.diameter_m and not again:
-            chosen.append(k)
-            rocks.append(rock)
-    return peaks.only(chosen), rocks
+    for k in np.argsort(-rank, kind="stable"):
+        apart = np.abs(places[chosen, :2] - places[k, :2])
+        wide = reach * np.maximum(places[chosen, 2], places[k, 2])
+        if not ((apart[:, 0] < wide) & (apart[:, 1] < 0.85 * wide)).any():
+            chosen.append(int(k))
+    return np.array(chosen, dtype=np.intp)
 
 
-def _measured(model: ElevationModel, above: FloatArray, peaks: Peaks, number: int) -> DetectedRock:
-    """Middle, diameter and height of what stands out at the node of a peak, by its `number`."""
-    row, column, z = int(peaks.rows[number]), int(peaks.columns[number]), float(peaks.significance[number])
-    inner, outer = (share * max(float(peaks.scale_m[number]), 0.05) / model.spacing_m for share in AROUND)
-    reach = math.ceil(outer) + 1
-    top, left = max(row - reach, 0), max(column - reach, 0)
-    patch = above[top : row + reach + 1, left : column + reach + 1]
-    row, column = row - top, column - left
-    away = np.hypot(*np.ogrid[-row : patch.shape[0] - row, -column : patch.shape[1] - column])
-    around = patch[np.isfinite(patch) & (away > inner)]
-    patch = patch - (float(np.median(around)) if len(around) else 0.0)
-    peak = float(np.nanmean(patch[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]))
-    labels, _ = label(np.nan_to_num(patch, nan=-1.0) > 0.5 * peak)
-    part = (labels == labels[row, column]) & (labels > 0)
-    part[row, column] = True
-    rows, columns = np.nonzero(part)
-    resolution, sigma = (
-        float(np.nan_to_num(model.layer(key)[top + row, left + column])) for key in ("resolution_m", "height_m_sigma")
-    )
-    across = 2.0 * math.sqrt(part.sum() / math.pi) * model.spacing_m
-    # Half the height of a half ellipsoid is where its radius is 0.87 of that at the ground; matching widens it.
-    diameter = max(math.sqrt(max((across / 0.87) ** 2 - resolution**2, 0.0)), model.spacing_m)
-    gain = max(_gain(diameter, resolution), 0.15)
-    sigma = max(sigma, abs(peak) / max(z, 1.0)) / gain
-    blur = abs(peak) / gain * min(1.0, 0.3 * (1.0 - gain) / gain)
-    error = math.hypot(model.spacing_m, 0.5 * resolution)
-    return DetectedRock(
-        x_m=float(model.x0_m + model.spacing_m * (left + columns.mean())),
-        y_m=float(model.y0_m + model.spacing_m * (top + rows.mean())),
-        diameter_m=diameter,
-        diameter_m_sigma=error,
-        height_m=peak / gain,
-        height_m_sigma=math.hypot(sigma, blur),
-        significance=z,
-        keepout_m=0.5 * across + error,
-    )
+def _beside(decoys: Candidates, low: FloatArray, own: Candidates, high: FloatArray) -> BoolArray:
+    """Decoys (n,) that are but the shadow or the dip beside a candidate of a higher score, within two widths of it."""
+    apart = np.abs(decoys.places[:, None, :2] - own.places[:, :2]).max(axis=-1)
+    wide = np.maximum(decoys.places[:, None, 2], own.places[:, 2])
+    return np.asarray(((apart < 1.3 * wide) & (high > low[:, None])).any(axis=1))
 
 
-def _gain(diameter_m: float, resolution_m: float) -> float:
-    """Height of the top of a half ellipsoid's mean under a square window, over its own. [-]"""
-    across = np.linspace(-0.5, 0.5, 41) * resolution_m
-    distance = np.hypot(*np.meshgrid(across, across)) / (0.5 * diameter_m)
-    return float(np.sqrt(np.clip(1.0 - distance**2, 0.0, None)).mean())
+def _logistic(rows: FloatArray, true: FloatArray, weight: FloatArray, ridge: float) -> tuple[FloatArray, FloatArray]:
+    """Coefficients (k + 1,), the constant first, and their covariance, of a logistic regression on rows (n, k).
+
+    `true` (n,) is 0 or 1, `ridge` the inverse variance that all but the constant have beforehand.
+    """
+    design = np.column_stack([np.ones(len(rows)), rows])
+    values, prior = np.zeros(design.shape[1]), ridge * np.eye(design.shape[1])
+    prior[0, 0] = 1e-3
+    for _ in range(40):
+        chance = 1.0 / (1.0 + np.exp(-np.clip(design @ values, -30, 30)))
+        normal = (design * (weight * chance * (1 - chance))[:, None]).T @ design + prior
+        step = np.linalg.solve(normal, design.T @ (weight * (true - chance)) - prior @ values)
+        values += step
+        if np.abs(step).max() < 1e-6:
+            break
+    return values, np.linalg.inv(normal)
 
 
-def _tried(
-    model: ElevationModel,
-    above: FloatArray,
-    diameter_m: float,
-    largest_m: float,
-    threshold: float,
-    rng: np.random.Generator,
-) -> Iterator[Completeness]:
-    """How many rocks put into the model are found, in its better and its worse half."""
-    from scipy.stats import binomtest
+def _scored(
+    own: FloatArray, decoys: FloatArray, rocks: FloatArray, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Logarithm of how much likelier features (n, k) are a rock's than the ground's, of each of the three kinds.
 
-    valid = np.isfinite(above)
-    rows, columns = np.unravel_index(rng.permutation(np.flatnonzero(valid))[:2000], above.shape)
-    apart = np.full(len(rows), max(4 * diameter_m, 0.3) / model.spacing_m)
-    chosen = _apart(rows, columns, apart, TRIALS)
-    if not chosen:
-        return
-    rows, columns = rows[chosen], columns[chosen]
-    put = np.zeros(above.shape)
-    y, x = np.mgrid[: above.shape[0], : above.shape[1]]
-    for row, column, (dy, dx) in zip(rows, columns, rng.uniform(-0.5, 0.5, (len(rows), 2)), strict=True):
-        part = (slice(max(row - 60, 0), row + 61), slice(max(column - 60, 0), column + 61))
-        distance = np.hypot(y[part] - row - dy, x[part] - column - dx) / (0.5 * diameter_m / model.spacing_m)
-        put[part] += FLATNESS * diameter_m * np.sqrt(np.clip(1.0 - distance**2, 0.0, None))
-    window = float(np.nan_to_num(np.nanmedian(model.layer("resolution_m")))) / model.spacing_m
-    tried = dataclasses.replace(model, height_m=model.height_m + uniform_filter(put, max(1, round(window))))
-    over = height_over_ground(tried, largest_m)
-    _, finds = _rocks_of(tried, over, _peaks(tried, over, largest_m, threshold))
-    there = np.array([(f.y_m - model.y0_m, f.x_m - model.x0_m) for f in finds]).reshape(-1, 2) / model.spacing_m
-    away = np.hypot(rows[:, None] - there[:, 0], columns[:, None] - there[:, 1]).min(axis=1, initial=np.inf)
-    hit = away <= max(0.5 * diameter_m / model.spacing_m, 2, 0.5 * window)
-    errors = model.layer("height_m_sigma")
-    sigma = errors[rows, columns]
-    edges = np.nanquantile(errors[valid], (0, 0.5, 1)) if np.isfinite(sigma).any() else np.full(2, np.nan)
-    halves = [sigma <= edges[1], sigma > edges[1]] if len(edges) == 3 else [np.ones(len(hit), bool)]
-    for half, low, high in zip(halves, edges, edges[1:], strict=False):
-        if half.any():
-            one_sigma = binomtest(int(hit[half].sum()), int(half.sum())).proportion_ci(math.erf(0.5**0.5), "wilson")
-            yield Completeness(
-                diameter_m=diameter_m,
-                height_m=FLATNESS * diameter_m,
-                sigma_from_m=float(low),
-                sigma_to_m=float(high),
-                trials=int(half.sum()),
-                share=float(hit[half].mean()),
-                share_low=float(one_sigma.low),
-                share_high=float(one_sigma.high),
+    Rocks put in and decoys are told apart by what the other four fifths of them taught.
+    """
+    middle = np.median(decoys, axis=0)
+    unit = np.array([max(robust_scatter(c), 1e-3 * float(c.std()) + 1e-9) for c in decoys.T])
+    own, decoys, rocks = (np.clip((part - middle) / unit, -5, 5) for part in (own, decoys, rocks))
+    scores = np.zeros(len(own)), np.zeros(len(decoys)), np.zeros(len(rocks))
+    folds = [rng.permutation(len(part)) % 5 for part in (decoys, rocks)]
+    for k in range(5):
+        ground, stones = (part[fold != k] for part, fold in zip((decoys, rocks), folds, strict=True))
+        true = np.repeat([0.0, 1.0], [len(ground), len(stones)])
+        weight = np.where(true > 0, len(ground) / max(len(stones), 1), 1.0)
+        values, _ = _logistic(np.vstack([ground, stones]), true, weight, 10.0)
+        scores[0][:] += (values[0] + own @ values[1:]) / 5
+        for score, part, fold in zip(scores[1:], (decoys, rocks), folds, strict=True):
+            score[fold == k] = values[0] + part[fold == k] @ values[1:]
+    return scores
+
+
+def _false_rate(
+    own: FloatArray, decoys: FloatArray, false_share: float
+) -> tuple[Callable[[FloatArray], FloatArray], float]:
+    """The chance that a find of a score is none, and the least score at which such a share of all is expected false.
+
+    It is the density of decoys over that of finds (local false discovery rate: Efron 2008, 10.1214/07-STS236), by a
+    logistic regression on max(score, 0), made smooth.
+    """
+    scores, true = np.concatenate([own, decoys]), np.repeat([1.0, 0.0], [len(own), len(decoys)])
+    values, _ = _logistic(np.logaddexp(0.0, scores)[:, None], true, np.ones(len(scores)), 0.01)
+
+    def doubt(at: FloatArray) -> FloatArray:
+        return np.minimum(np.exp(-(values[0] + values[1] * np.logaddexp(0.0, at))), 1.0)
+
+    ranked = np.sort(own)[::-1]
+    mean = np.cumsum(doubt(ranked)) / np.arange(1, len(ranked) + 1)
+    kept = np.flatnonzero(mean <= false_share)
+    return doubt, float(ranked[kept[-1]]) if len(kept) else math.inf
+
+
+class _Measures(NamedTuple):
+    """What is measured of candidates, and what that of rocks put in was off by: median and scatter.
+
+    Attributes
+    ----------
+    scene : that they are in.
+    size : of the logarithm of the true diameter over that of the level.
+    flatness : height over diameter as a line in that which the disparity says, and the scatter about it.
+    ahead, aside : how far the middle is behind, and to the right of, what was seen of it, in diameters.
+    """
+
+    scene: Scene
+    size: tuple[float, float]
+    flatness: tuple[float, float, float]
+    ahead: tuple[float, float]
+    aside: tuple[float, float]
+
+    @classmethod
+    def learned(cls, scene: Scene, put: FloatArray, found: Candidates) -> "_Measures":
+        """From rocks put in (n, 4) and the candidates that they are."""
+        start = cls(scene, (0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
+        across, rise, middle, ways = start._raw(found)
+        logs = np.log(put[:, 2] / across)
+        size = float(np.median(logs)), robust_scatter(logs)
+        across *= math.exp(size[0])
+        lie = np.column_stack([np.ones(len(put)), np.clip(rise / across, 0.0, 1.5)])
+        line, _ = robust_fit(lie, put[:, 3] / across)
+        off = ((scene.feet(put)[0] - middle) / across[:, None])[:, None] @ ways.swapaxes(1, 2)
+        ahead, aside = off[:, 0].T
+        scatters = [(float(np.median(a)), robust_scatter(a)) for a in (ahead, aside)]
+        return cls(
+            scene,
+            size,
+            (float(line[0]), float(line[1]), robust_scatter(put[:, 3] / across - lie @ line, 0.0)),
+            *scatters,
+        )
+
+    def _raw(self, found: Candidates) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Width of the level (n,), rise over the ground about (n,), place of what is seen (n, 3) [m], and the level
+        directions ahead and to the right (n, 2, 3)."""
+        scene = self.scene
+        points = scene.points(found.places, found.disparity)
+        across = found.places[:, 2] * scene.baseline_m / found.disparity
+        rise = found.raised_px / found.disparity * -(points @ scene.up)
+        ahead = points - (points @ scene.up)[:, None] * scene.up
+        ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+        return across, rise, points, np.stack([ahead, np.cross(ahead, scene.up)], axis=1)
+
+    def rocks(self, found: Candidates, chances: FloatArray, pose: Pose, turn: FloatArray) -> Iterator[DetectedRock]:
+        """The rocks that candidates are; `turn` turns a direction of the left camera's frame into the scene's."""
+        if not len(chances):
+            return
+        across, rise, middle, ways = self._raw(found)
+        across = across * math.exp(self.size[0])
+        flat = np.clip(self.flatness[0] + self.flatness[1] * np.clip(rise / across, 0.0, 1.5), 0.1, 1.5)
+        off = np.array([self.ahead[0], self.aside[0]])
+        middle = middle + across[:, None] * np.einsum("k,nkc->nc", off, ways)
+        world = pose.to_world(middle @ turn)
+        spread = math.hypot(self.ahead[1], self.aside[1])
+        for k, (wide, place) in enumerate(zip(across, world, strict=True)):
+            sigma = float(wide) * self.size[1]
+            yield DetectedRock(
+                x_m=float(place[0]),
+                y_m=float(place[1]),
+                diameter_m=float(wide),
+                diameter_m_sigma=sigma,
+                height_m=float(wide * flat[k]),
+                height_m_sigma=float(wide) * math.hypot(self.flatness[2], flat[k] * self.size[1]),
+                significance=float(found.stands_out[k]),
+                probability=float(chances[k]),
+                range_m=float(np.linalg.norm(middle[k])),
+                keepout_m=0.5 * float(wide) + math.hypot(spread * float(wide), 0.5 * sigma),
             )
+
+
+def _completeness(
+    scene: Scene, put: FloatArray, found: BoolArray, sizes_m: tuple[float, ...]
+) -> Iterator[Completeness]:
+    """Shares by size and range, from rocks put in (n, 4) and whether they were found (n,)."""
+    from scipy.special import expit
+
+    away = np.linalg.norm(scene.feet(put)[0], axis=1)
+
+    def rows(diameter: npt.ArrayLike, reach: npt.ArrayLike) -> FloatArray:
+        return np.column_stack([np.log(np.asarray(diameter) / 0.1), np.log(np.asarray(reach) / 4.0)])
+
+    values, covariance = _logistic(rows(put[:, 2], away), found.astype(float), np.ones(len(put)), 0.1)
+    for size in sizes_m:
+        for low, high in pairwise(RANGES_M):
+            there = (away >= low) & (away < high)
+            if not there.any():
+                continue
+            design = np.array([1.0, *rows([size], [float(np.median(away[there]))])[0]])
+            middle, sigma = float(design @ values), math.sqrt(design @ covariance @ design)
+            yield Completeness(
+                diameter_m=size,
+                height_m=0.5 * sum(FLATNESS) * size,
+                range_from_m=low,
+                range_to_m=high,
+                trials=int((there & (np.abs(np.log(put[:, 2] / size)) < math.log(1.5))).sum()),
+                share=float(expit(middle)),
+                share_low=float(expit(middle - sigma)),
+                share_high=float(expit(middle + sigma)),
+            )
+
+
+def _area_m2(scene: Scene) -> float:
+    """Area of the level ground that the searched pixels show. [m2]"""
+    v, u = np.nonzero(scene.searched)
+    pixels = np.column_stack([u, v]).astype(float)
+    points = scene.points(pixels, scene.at(pixels))
+    area = points[:, 2] ** 3 / scene.focal_px**2 / np.maximum(-(points @ scene.up), 0.05 * points[:, 2])
+    return float(area.sum())

@@ -435,7 +435,15 @@ def rocks(result: Result) -> ResultAnswer:
     )
     false = result.get("expected_false_share")
     doubt = f", of which {percent(false)} are expected to be none" if listed and false else ""
-    return ResultAnswer(f"{_synthetic(result.get('terrain') or {})}{counted(len(listed), 'rock')} found{doubt}.{tall}")
+    shares = [
+        f"{percent(one['share'])} of {100 * one['diameter_m']:g} cm at "
+        f"{one['range_from_m']:g} to {one['range_to_m']:g} m"
+        for one in result.get("completeness") or ()
+        if one.get("range_from_m") is not None
+    ]
+    missed = f" Found are, of rocks in view: {', '.join(shares)}." if shares else ""
+    found = f"{counted(len(listed), 'rock')} found{doubt}.{tall}{missed}"
+    return ResultAnswer(f"{_synthetic(result.get('terrain') or {})}{found}")
 
 
 @answers("The soil from wheel states", "regolith-identify", "regolith-infer")

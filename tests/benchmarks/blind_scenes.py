@@ -233,8 +233,11 @@ def _true_depths(station: Seen, track: np.ndarray, places: np.ndarray, window_m:
 
 def rocks(station: Seen) -> dict[str, int]:
     """Rocks of 5 cm and more within 5 m that pixels show, how many were found, and finds that are none."""
-    truth, model = station.truth, station.found.model
-    found = np.array([(r.x_m, r.y_m) for r in find_rocks(model, sizes_m=()).rocks]).reshape(-1, 2)
+    truth = station.truth
+    sun = truth["sun"]
+    angles = math.degrees(math.atan2(sun[1], sun[0])), math.degrees(math.asin(sun[2]))
+    survey = find_rocks(station.found.matches, station.found.pose, sun_deg=angles)
+    found = np.array([(r.x_m, r.y_m) for r in survey.rocks]).reshape(-1, 2)
     points = truth["points_m"][(truth["kind"] == 2) & truth["seen"]]
     near = np.array([r for r in truth["rocks"] if np.linalg.norm(r[:3] - station.camera_m) < ROCKS_M + 0.3])
     away = np.linalg.norm(near[:, :3] - station.camera_m, axis=1)

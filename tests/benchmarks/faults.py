@@ -411,7 +411,6 @@ WRITERS: dict[str, tuple[str, str]] = {
     "comparison": ("twin compare predicted states/states.csv -o compared.csv", "compared.csv"),
     "track": ("images track ground/terrain.npz --line 0,1,2.5,1.2 --step 0.5 -o track.csv --plot track.svg",
               "track.csv track.svg"),
-    "rocks": ("images rocks ground/terrain.npz --sizes 0.2 -o rocks.geojson", "rocks.geojson"),
     "pictures": ("images render --rig small.toml --rays 1 -o pair", "pair/"),
     "report": ("report fit.json predicted -o report.html", "report.html"),
     "first file": ("template rover -o rover.toml", ""),

@@ -93,7 +93,6 @@ DRIVES: dict[str, str] = {
     "mission": "twin plan --mission mission.toml --risk 0.3 --members 4",
     "ground": "twin terrain synthetic --extent 4 --spacing 0.02 --seed 2 --rocks 0.03 -o ground",
     "track": "images track ground/terrain.npz --line 0,1,2.5,1.2 --step 0.5",
-    "rocks": "images rocks ground/terrain.npz --sizes 0.2",
     "cameras": "images cameras",
     "terrain synthetic": "twin terrain synthetic --crater-count 5 --rocks 0.02 --seed 7",
     "predict sweep": "twin predict short.toml --sweep friction_angle_deg=30:50:3",

@@ -125,14 +125,20 @@ def heights() -> Any:
 
 
 @cache
+def stones() -> Any:
+    heights()
+    at = folder() / "pair"
+    return lunarsci.rocks(at / "left.png", at / "right.png", rig=str(at / "rig.toml"), pose=str(at / "pose.toml"))
+
+
+@cache
 def ground() -> Any:
-    """What a PanCam makes of stamped ground: heights with a track along y = 1.2 m, and with rocks."""
-    from stamped_ground import PANCAM, with_rocks, with_track
+    """What a PanCam makes of stamped ground: heights with a track along y = 1.2 m."""
+    from stamped_ground import PANCAM, with_track
 
     rng = np.random.default_rng(3)
     track = with_track(rng, 0.008).seen(rng, PANCAM, (-1.8, 1.2, 1.5))
-    stones, _ = with_rocks(rng, [0.2] * 2 + [0.1] * 6 + [0.05] * 12, size=(3.0, 2.0))
-    return track, stones.seen(rng, PANCAM, (-1.5, 1.0, 1.5), holes=0.02)
+    return track
 
 
 def elevation(name: str, model: Any) -> str:
@@ -146,7 +152,7 @@ def merged(count: int = 2) -> "Figure":
     from lunarsci.images.elevation import ElevationModel, merge
     from lunarsci.images.figures import merge_page
 
-    track, models = ground()[0], []
+    track, models = ground(), []
     random = np.random.default_rng(1)
     for k in range(count):
         height = track.height_m[::4, ::4] + random.normal(0.0, 0.003, track.height_m[::4, ::4].shape) + 0.004 * k
@@ -454,8 +460,8 @@ PICTURES: dict[str, Callable[[], "Figure"]] = {
     "render": lambda: pair().plot(),
     "dem": lambda: heights().plot(),
     "locate": ties,
-    "track": lambda: lunarsci.track(elevation("track.npz", ground()[0]), line="0.3,1.2,1.4,1.2", step=0.1).plot(),
-    "rocks": lambda: lunarsci.rocks(elevation("rocks.npz", ground()[1]), sizes="0.2").plot(),
+    "track": lambda: lunarsci.track(elevation("track.npz", ground()), line="0.3,1.2,1.4,1.2", step=0.1).plot(),
+    "rocks": lambda: stones().plot(),
     "merge": merged,
     "forces": lambda: lunarsci.wheel_forces(load=36.5, side_slip=2, slip=0.1).plot(),
     "traction": lambda: lunarsci.wheel_forces(load=36.5, side_slip=2, slip="0:0.6:13").plot(),

@@ -149,7 +149,7 @@ def model_of(depths: np.ndarray, shift_px: float, sigma_px: float) -> ElevationM
     disparity, blank = FOCAL_PX * BASE_M / depths + shift_px, np.zeros(depths.shape)
     frame = Rectified(np.eye(3), FOCAL_PX, (149.5, 54.5), BASE_M, np.zeros((2, *depths.shape, 2), np.float32))
     matches = StereoMatches(
-        rectified=frame, left=blank, disparity=disparity, sigma_px=blank + sigma_px,
+        rectified=frame, left=blank, right=blank, disparity=disparity, sigma_px=blank + sigma_px,
         window_px=blank + 7.0, reason=blank.astype(np.uint8),
         first=disparity, row_offset_px=0.0,
     )  # fmt: skip

@@ -1,116 +1,134 @@
-"""Rocks against those put into made-up ground, of other shapes than those the completeness is tried with."""
+"""Rocks in pictures: what is rendered, measured and judged, against geometry and made-up ground of known parallax."""
 
 import json
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
-from stamped_ground import NAVCAM, PANCAM, with_rocks
+from scipy.ndimage import gaussian_filter, map_coordinates
 
-from lunarsci.errors import ParameterError, RequestError
-from lunarsci.images.elevation import ElevationModel
+from lunarsci.errors import DataError, RequestError
+from lunarsci.images.camera import Pose
 from lunarsci.images.jobs.requests import RocksRequest
-from lunarsci.images.jobs.rocks import RockList
-from lunarsci.images.rocks import RockSurvey, find_rocks
+from lunarsci.images.matching import Rectified, StereoMatches
+from lunarsci.images.rocks import RockSurvey, _false_rate, _logistic, _parallax, _scene, find_rocks
+from lunarsci.images.stones import put_stone, spots
+from lunarsci.io.inputs import read_input
+from lunarsci.twin.ground.hazards import missed_rocks
 
-CAMERA = (-1.5, 1.5, 1.5)
+FOCAL_PX, BASE_M, SIDE = 600.0, 0.27, 512
+POSE = Pose.looking([0.0, 0.0, 1.5], 0.0, 30.0)
+
+
+def plane(*bumps: tuple[float, float, float, float]) -> StereoMatches:
+    """A pair of level ground 1.5 m below, with a texture, and round bumps u, v, radius, disparity [px] on it."""
+    rng = np.random.default_rng(4)
+    v, u = np.mgrid[:SIDE, :SIDE].astype(float)
+    ray = np.stack([(u - 255.5) / FOCAL_PX, (v - 255.5) / FOCAL_PX, np.ones_like(u)], axis=-1) @ POSE.rotation.T
+    depth = np.where(ray[..., 2] < -0.01, -1.5 / np.minimum(ray[..., 2], -0.01), np.inf)
+    disparity = FOCAL_PX * BASE_M / depth
+    for x, y, radius, rise in bumps:
+        disparity += rise * ((u - x) ** 2 + (v - y) ** 2 < radius**2)
+    light = 400 + 60 * gaussian_filter(rng.standard_normal((SIDE, SIDE + 400)), 1.2) / 0.24
+    right = light[:, 200 : 200 + SIDE]
+    left = map_coordinates(light, [v, u + 200 - disparity], order=3, mode="nearest")
+    frame = Rectified(np.eye(3), FOCAL_PX, (255.5, 255.5), BASE_M, np.zeros((2, SIDE, SIDE, 2), np.float32))
+    seen = np.where((disparity > 10) & (u - disparity > 3), disparity, np.nan)
+    noise = [p + rng.standard_normal(p.shape) for p in (left, right)]
+    return StereoMatches(
+        rectified=frame, left=noise[0], right=noise[1], disparity=seen, sigma_px=0 * seen + 0.05, first=seen,
+        reason=np.isnan(seen).astype(np.uint8), row_offset_px=0.0,
+    )  # fmt: skip
 
 
 @cache
-def looked_at(
-    seed: int, focal: float, sizes_m: tuple[float, ...] = ()
-) -> tuple[ElevationModel, RockSurvey, np.ndarray]:
-    rng = np.random.default_rng(seed)
-    ground, rocks = with_rocks(rng, [0.2] * 2 + [0.1] * 6 + [0.05] * 12)
-    model = ground.seen(rng, focal, CAMERA, holes=0.02)
-    return model, find_rocks(model, largest_m=0.4, sizes_m=sizes_m), rocks
+def survey() -> RockSurvey:
+    return find_rocks(plane(), POSE, sun_deg=(60.0, 30.0))
 
 
-def hits(model: ElevationModel, survey: RockSurvey, rocks: np.ndarray) -> tuple[dict[float, float], int]:
-    """Share of seen rocks that were found, by diameter, and how many finds are none."""
-    found = np.array([(rock.x_m, rock.y_m) for rock in survey.rocks]).reshape(-1, 2)
-    apart = np.hypot(*(found[:, None] - rocks[:, :2]).transpose(2, 0, 1))
-    near = apart <= np.maximum(0.6 * rocks[:, 2], 0.03)
-    seen = np.isfinite(model.at("height_m", rocks[:, 0], rocks[:, 1]))
-    shares = {size: float(near.any(axis=0)[seen & (rocks[:, 2] == size)].mean()) for size in (0.05, 0.1, 0.2)}
-    return shares, int((~near.any(axis=1)).sum())
+def test_parallax_is_that_of_the_ground() -> None:
+    """A disc raised by 1.5 px; Gaussian windows lose a tenth of what is three of their widths across."""
+    matches = plane((300.0, 300.0, 12.0, 1.5))
+    scene, _ = _scene(matches, POSE, (60.0, 30.0))
+    above = _parallax(scene.ground, scene.left, scene.right)
+    disc = above[296:305, 296:305].mean() - np.median(above[260:280, 280:320])
+    assert disc == pytest.approx(1.5, abs=0.2)
+    assert np.abs(above[scene.searched] - np.median(above[scene.searched])).mean() < 0.1
 
 
-def test_pancam_finds_five_centimetres_within_five_metres() -> None:
-    shares, false, finds = [], 0, 0
-    for seed in (700, 701):
-        model, survey, rocks = looked_at(seed, PANCAM)
-        share, wrong = hits(model, survey, rocks)
-        shares.append(list(share.values()))
-        false, finds = false + wrong, finds + len(survey.rocks)
-        for rock in survey.rocks:
-            apart = np.hypot(rocks[:, 0] - rock.x_m, rocks[:, 1] - rock.y_m)
-            if apart.min() < 0.03:
-                assert rock.diameter_m == pytest.approx(rocks[apart.argmin(), 2], abs=4 * rock.diameter_m_sigma)
-                assert rock.keepout_m > 0.4 * rocks[apart.argmin(), 2]
-    assert np.mean(shares, axis=0) == pytest.approx(1.0, abs=0.1)
-    assert false <= 0.05 * finds + 1
+def test_stones_stand_where_both_cameras_see_them() -> None:
+    """The same stone in both pictures, apart by f B / Z of its foot."""
+    scene, _ = _scene(plane(), POSE, (60.0, 30.0))
+    rng = np.random.default_rng(1)
+    pictures = scene.left.copy(), scene.right.copy()
+    spot = np.array([330.0, 300.0, 0.12, 0.05])
+    u, v, width, height = put_stone(scene, pictures, spot, 0.0, rng)
+    _, (disparity,) = scene.feet(spot[None])
+    assert width == pytest.approx(0.12 * disparity / BASE_M, rel=0.3)
+    assert 0.3 * width < height < 1.2 * width
+    assert abs(u - 330.0) < 0.3 * width and v < 302.0
+    changed = [np.argwhere(np.abs(a - b) > 40).mean(axis=0) for a, b in zip(pictures, scene[:2], strict=True)]
+    assert changed[0][1] - changed[1][1] == pytest.approx(disparity, abs=0.05 * disparity)
+    put = spots(scene, 0.3, rng)
+    assert len(put) > 20 and (put[:, 2] >= 0.03).all() and (put[:, 2] <= 0.3).all()
 
 
-def test_completeness_says_what_is_missed() -> None:
-    """NavCam is too coarse for rocks of 5 cm: few are found, and that is said."""
-    model, survey, rocks = looked_at(703, NAVCAM, (0.05, 0.1, 0.2))
-    shares, false = hits(model, survey, rocks)
-    said = {size: np.mean([e.share for e in survey.completeness if e.diameter_m == size]) for size in (0.05, 0.1, 0.2)}
-    assert shares[0.2] == 1.0
-    assert said[0.2] > 0.9
-    assert said[0.05] < said[0.1] <= said[0.2] + 0.05
-    assert shares[0.05] == pytest.approx(said[0.05], abs=0.4)
-    assert false <= 1
+def test_plain_ground_has_next_to_no_rocks_and_larger_ones_are_missed_less() -> None:
+    assert len(survey().rocks) <= 2
+    shares = {(one.diameter_m, one.range_from_m): one for one in survey().completeness}
+    assert shares[0.2, 2.5].share >= shares[0.05, 2.5].share - 0.02
+    for one in survey().completeness:
+        assert 0 <= one.share_low <= one.share <= one.share_high <= 1
+    # 30 deg down with 46 deg across: 1.5 m of height see some 20 m2 within 7 m.
+    assert 8 < survey().searched_m2 < 40
 
 
-def test_ground_without_rocks_has_next_to_none() -> None:
-    finds = 0
-    for seed in range(2):
-        rng = np.random.default_rng(seed)
-        ground, _ = with_rocks(rng, [])
-        finds += len(find_rocks(ground.seen(rng, PANCAM, CAMERA), largest_m=0.4, sizes_m=()).rocks)
-    assert finds <= 4
+def test_false_finds_are_counted_by_decoys() -> None:
+    """Two normal laws: the chance at a score is the ratio of their densities, by the numbers in each."""
+    rng = np.random.default_rng(2)
+    decoys = rng.normal(-2, 1, 4000)
+    own = np.concatenate([rng.normal(-2, 1, 4000), rng.normal(3, 1, 1000)])
+    doubt, threshold = _false_rate(own, decoys, 0.05)
+    above = np.sort(own[:4000][own[:4000] > threshold])
+    assert len(above) / (own > threshold).sum() == pytest.approx(0.05, abs=0.05)
+    assert doubt(np.array([4.0]))[0] < 0.05 < doubt(np.array([-1.0]))[0]
 
 
-def test_relief_of_the_ground_is_no_rock_where_errors_are_small() -> None:
-    """Berms of 8 mm along a track, ten times as high as the errors near the camera, with some 340 bumps."""
-    rng, step = np.random.default_rng(31), 0.02
-    x, y = np.meshgrid(step * np.arange(300), step * np.arange(150))
-    relief = gaussian_filter(rng.standard_normal(x.shape), 3.0)
-    height = 0.004 * relief / relief.std()
-    for side in (0.9, 1.1, 1.9, 2.1):
-        height += 0.008 * np.exp(-(((y - side) / 0.03) ** 2)) * (0.6 + 0.4 * np.sin(2 * np.pi * x / 0.07))
-    rocks = np.array([[1.0, 0.5], [2.5, 2.6], [3.5, 1.5]])
-    for place in rocks:
-        height += 0.06 * np.sqrt(np.clip(1 - ((x - place[0]) ** 2 + (y - place[1]) ** 2) / 0.06**2, 0, None))
-    sigma = 0.0007 * (1.0 + (x / 1.5) ** 2)
-    seen = height + sigma * gaussian_filter(rng.standard_normal(x.shape), 1.0) / 0.28
-    model = ElevationModel(
-        name="berms",
-        x0_m=0.0,
-        y0_m=0.0,
-        spacing_m=step,
-        height_m=seen,
-        height_m_sigma=sigma,
-        resolution_m=np.array(0.04),
-    )
-    found = np.array([(rock.x_m, rock.y_m) for rock in find_rocks(model, sizes_m=()).rocks])
-    apart = np.hypot(*(found[:, None] - rocks).transpose(2, 0, 1))
-    assert (apart.min(axis=0) < 0.04).all() and (apart.min(axis=1) > 0.08).sum() <= 6
+def test_logistic_regression_finds_the_law_it_was_drawn_from() -> None:
+    rng = np.random.default_rng(3)
+    x = rng.standard_normal((20000, 2))
+    true = rng.random(20000) < 1 / (1 + np.exp(-(0.5 + x @ [1.0, -2.0])))
+    values, covariance = _logistic(x, true.astype(float), np.ones(20000), 1e-6)
+    assert (np.abs(values - [0.5, 1.0, -2.0]) < 4 * np.sqrt(np.diag(covariance))).all()
 
 
-def test_keep_outs_and_refusals() -> None:
-    model, survey, _ = looked_at(700, PANCAM)
-    found = RockList(model=model, survey=survey, request=RocksRequest(margin=0.1), inputs={})
-    features = json.loads(found.geojson())["features"]
-    assert len(features) == len(survey.rocks) > 15
-    ring = np.array(features[0]["geometry"]["coordinates"][0])
-    rock = survey.rocks[0]
-    assert (np.hypot(*(ring - [rock.x_m, rock.y_m]).T) >= rock.keepout_m + 0.1).all()
-    with pytest.raises(ParameterError, match="show no rocks"):
-        find_rocks(model, largest_m=0.03)
-    for options in ({"largest": 9.0}, {"false_share": 0.0}, {"sizes": "a"}, {"sizes": "0.9"}):
+def test_too_little_ground_is_refused() -> None:
+    matches = plane()
+    dark = StereoMatches(**{k: getattr(matches, k) for k in StereoMatches.__slots__} | {"left": 0 * matches.left})
+    with pytest.raises(DataError, match="lit ground"):
+        find_rocks(dark, POSE)
+
+
+def test_requests_that_cannot_be() -> None:
+    for options in ({"largest": 9.0}, {"false_share": 0.0}, {"sizes": "a"}, {"sizes": "0.9"}, {"sun": "a"}):
         with pytest.raises(RequestError):
             RocksRequest(**options)
+    assert RocksRequest(sun="60,30").sun_deg() == (60.0, 30.0)
+
+
+def test_what_may_have_been_missed_on_the_way(tmp_path: Path) -> None:
+    """Poisson by hand: (1 + 1/2) rocks on 20 m2 over 0.75 found, half missed on 2 m of 4 m, all beyond 5 m."""
+    share = {"diameter_m": 0.2, "range_from_m": 0.0, "range_to_m": 3.0, "share": 1.0}
+    rows = [share, share | {"range_from_m": 3.0, "range_to_m": 5.0, "share": 0.5}]
+    told = {"camera_m": [0.0, 0.0, 0.0], "area_m2": 20.0, "completeness": rows}
+    rocks = [{"properties": {"diameter_m": 0.4}}, {"properties": {"diameter_m": 0.1}}]
+    path = tmp_path / "rocks.geojson"
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": rocks, "searched": told}))
+    way = np.column_stack([np.linspace(2.0, 6.0, 401), np.zeros(401)])
+    text = missed_rocks(read_input(str(path)), way, 1.0, 0.09)
+    chance = 1 - np.exp(-1.5 / 20 / 0.75 * (0.5 * 2 + 1.0))
+    assert text is not None and f"missed there is {100 * chance:.0f} %" in text
+    assert "rocks of 20 cm" in text and "0 % to 100 %" in text
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": []}))
+    assert missed_rocks(read_input(str(path)), way, 1.0, 0.09) is None

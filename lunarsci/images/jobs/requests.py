@@ -210,10 +210,13 @@ class RenderRequest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RocksRequest:
-    """What rocks are looked for.
+    """What rocks are looked for, and how the pictures were taken.
 
     Attributes
     ----------
+    rig : The cameras: yutu2-pancam, yutu2-navcam, yutu2-hazcam, a TOML file, or the labels LEFT,RIGHT of the pictures.
+    pose : Where the left camera was: TOML with position_m, heading_deg, down_deg, roll_deg.
+    sun : Azimuth of the Sun, from x towards y, and elevation, in deg: two numbers with a comma.
     largest : Diameter of the largest rock, in m; what is wider is ground.
     false_share : Share of the finds that may be no rocks.
     sizes : Diameters in m for which it is said how many are found: numbers with commas.
@@ -221,15 +224,31 @@ class RocksRequest:
     seed : Seed of the rocks put in for trial.
     """
 
-    largest: float = 0.5
+    rig: str = "yutu2-navcam"
+    pose: str | None = None
+    sun: str | None = None
+    largest: float = 0.3
     false_share: float = 0.05
-    sizes: str = "0.05,0.1,0.2"
+    sizes: str = "0.05,0.07,0.1,0.2"
     margin: float = 0.0
     seed: int = 0
 
     def __post_init__(self) -> None:
-        check_intervals(self, {"[0.02, 5]": "largest", "(0, 1)": "false_share", "[0, 100)": "margin"})
+        check_intervals(self, {"[0.04, 5]": "largest", "(0, 1)": "false_share", "[0, 100)": "margin"})
         self.diameters()
+        self.sun_deg()
+
+    def sun_deg(self) -> tuple[float, float] | None:
+        """`sun` as numbers. Raises RequestError."""
+        if self.sun is None:
+            return None
+        try:
+            azimuth, elevation = map(float, self.sun.split(","))
+        except ValueError:
+            azimuth = elevation = math.nan
+        if not (math.isfinite(azimuth) and 0 < elevation <= 90):
+            raise RequestError(f"`sun` is '{self.sun}'; give azimuth,elevation in deg, the elevation above 0 to 90")
+        return azimuth, elevation
 
     def diameters(self) -> tuple[float, ...]:
         """`sizes` as numbers. Raises RequestError."""

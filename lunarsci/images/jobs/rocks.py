@@ -1,18 +1,18 @@
-"""Rocks in an elevation model, and how many of them are missed."""
+"""Rocks in a pair of pictures, and how many of them are missed."""
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from lunarsci.images.elevation import ElevationModel, read_elevation
+from lunarsci.images.jobs.dem import StereoTerrain, dem
 from lunarsci.images.jobs.requests import RocksRequest
 from lunarsci.images.rocks import RockSurvey, find_rocks
 from lunarsci.io.documents import geojson_feature
-from lunarsci.io.inputs import read_input
+from lunarsci.io.inputs import Source
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Result, job
+from lunarsci.result import MadeFrom, Progress, Result, job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 SOURCES = [
     "Golombek & Rapp (1997), J. Geophys. Res. 102, 4117, 10.1029/96JE03319: heights of rocks",
     "Elias & Gygi (2007), Nat. Methods 4, 207, 10.1038/nmeth1019: false finds from a search among decoys",
-    "Wilson (1927), J. Am. Stat. Assoc. 22, 209, 10.1080/01621459.1927.10502953: interval of a share",
+    "Efron (2008), Stat. Sci. 23, 1, 10.1214/07-STS236: probability of a single find",
 ]
 CORNERS = 24
 """Corners of the polygon in the place of the circle about a rock, in GeoJSON."""
@@ -29,35 +29,44 @@ CORNERS = 24
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RockList(Result):
-    """Rocks of an elevation model, the surest first.
+    """Rocks of a pair of pictures, the likeliest first.
 
     Attributes
     ----------
-    model : the heights that they were looked for in.
+    ground : heights and matches of the pair.
     survey : the rocks, and how sure and complete they are.
     request : what was asked.
-    inputs : SHA-256 of each file by its name.
     """
 
     schema: ClassVar[str] = "images-rocks/1"
-    model: ElevationModel
+    ground: StereoTerrain
     survey: RockSurvey
     request: RocksRequest
-    inputs: Mapping[str, str]
 
     @property
     def made_from(self) -> MadeFrom:
-        return MadeFrom(inputs=self.inputs, sources=SOURCES, seed=self.request.seed)
+        return MadeFrom(inputs=self.ground.inputs, sources=SOURCES, seed=self.request.seed)
 
     def to_dict(self) -> dict[str, Any]:
         survey = self.survey
         return {
-            "terrain": self.model.summary(),
+            "terrain": self.ground.model.summary(),
             "threshold": survey.threshold,
             "expected_false_share": survey.false_share,
             "rocks": self.rows(),
             "completeness": [asdict(entry) for entry in survey.completeness],
+            "searched": self.searched(),
             "notes": self.notes(),
+        }
+
+    def searched(self) -> dict[str, Any]:
+        """Where was looked: from which place, how much ground, and under which Sun."""
+        azimuth, elevation = self.survey.sun_deg
+        return {
+            "camera_m": [float(v) for v in self.ground.pose.center_m],
+            "area_m2": self.survey.searched_m2,
+            "sun_azimuth_deg": azimuth,
+            "sun_elevation_deg": elevation,
         }
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
@@ -71,7 +80,7 @@ class RockList(Result):
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.images.figures import rocks_page
 
-        yield rocks_page(self.model, self.survey)
+        yield rocks_page(self.ground.model, self.survey)
 
     def geojson(self) -> bytes:
         """Circles to keep out of, in the coordinates of the model, in m."""
@@ -82,46 +91,51 @@ class RockList(Result):
             radius = row["keepout_m"] / math.cos(math.pi / CORNERS)
             ring = [[row["x_m"] + radius * math.cos(t), row["y_m"] + radius * math.sin(t)] for t in turns]
             features.append(geojson_feature("Polygon", [ring], row))
-        return (json.dumps({"type": "FeatureCollection", "features": features}, sort_keys=True) + "\n").encode()
+        told = {"searched": self.searched() | {"completeness": self.to_dict()["completeness"]}}
+        document = {"type": "FeatureCollection", "features": features} | told
+        return (json.dumps(document, sort_keys=True) + "\n").encode()
 
     def notes(self) -> list[str]:
         """What the numbers rest on."""
         notes = [
-            "found in heights alone: flat or half buried rocks, and what lies in holes of the model, are not seen",
-            "completeness is of half ellipsoids half as high as wide (assumed), put into this model",
+            "looked for on lit ground that both pictures show; in deep shadow and behind crests no rock is seen",
+            "completeness is of stones of twelve faces that were rendered into these pictures",
         ]
-        if self.model.height_m_sigma is None:
-            notes.append("the model states no errors; the scatter of its heights stands for them")
-        if self.model.synthetic:
-            notes.append("the terrain is synthetic")
+        if self.request.sun is None:
+            notes.append("the Sun's direction was taken from the light of the ground: `sun` states it")
+        if self.ground.model.synthetic:
+            notes.append("the pictures are SYNTHETIC")
         return notes
 
 
 @job
 def rocks(
-    terrain: str,
+    left: Source,
+    right: Source,
     request: RocksRequest | None = None,
     *,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
     **options: Any,
 ) -> RockList:
-    """Rocks that stand out of an elevation model, with the share of false ones and of missed ones.
+    """Rocks in a pair of pictures, each with its probability, and the share of those that are missed.
 
-    Raises DataError, RequestError, and ParameterError for a grid too coarse.
+    Raises DataError where the pictures do not match or show too little ground, and RequestError.
 
     Examples
     --------
-    >>> rocks = lunarsci.rocks("ground/terrain.npz").to_table()
+    >>> demo = ("lunarsci-demo/left.png", "lunarsci-demo/right.png")
+    >>> rocks = lunarsci.rocks(*demo, rig="lunarsci-demo/rig.toml", pose="lunarsci-demo/pose.toml").to_table()
     """
     request = request_of(RocksRequest, request, options)
-    inputs = {terrain: read_input(terrain).sha256}
-    model = read_elevation(terrain)
+    ground = dem(left, right, rig=request.rig, pose=request.pose)
     survey = find_rocks(
-        model,
+        ground.matches,
+        ground.pose,
+        sun_deg=request.sun_deg(),
         largest_m=request.largest,
         false_share=request.false_share,
         sizes_m=request.diameters(),
         seed=request.seed,
         progress=progress,
     )
-    return RockList(model=model, survey=survey, request=request, inputs=inputs)
+    return RockList(ground=ground, survey=survey, request=request)

@@ -37,6 +37,9 @@ STRAY_M = 3.0
 """Drives are not looked for farther from their plans, beside half a rover, than this; assumed. [m]"""
 FARTHEST_M = 1.1e7
 """Once round the Moon, of 1737.4 km radius (Archinal et al. 2018, 10.1007/s10569-017-9805-5). [m]"""
+FLATNESS = 0.45
+"""Height over diameter of a rock whose diameter is known: the middle of those of `images rocks` (Golombek & Rapp 1997,
+10.1029/96JE03319)."""
 FORBIDDEN = "forbidden"
 """Stands for a cost where nothing may drive."""
 SAME_CLASS = 1e-6
@@ -185,6 +188,40 @@ def read_keep_outs(source: InputFile, crs: str = "") -> Zones:
     DataError.
     """
     return read_json(source, "a GeoJSON file of ground to keep out of", lambda document: _zones(document, crs))
+
+
+def missed_rocks(source: InputFile, places_m: FloatArray, width_m: float, stops_m: float) -> str | None:
+    """What a search for rocks may have missed along a way (n, 2) [m]; None for a file that says nothing of a search.
+
+    Rocks as high as `stops_m` stop a wheel. Their number on a square metre is that of those found, over the share that
+    is found, and half a one (Jeffreys); those missed on the way, as wide as `width_m`, follow Poisson's law. Beyond the
+    ranges that were searched nothing was found.
+    """
+    document = read_json(source, "a GeoJSON file of ground to keep out of", dict)
+    told = document.get("searched")
+    if not isinstance(told, Mapping) or not told.get("completeness"):
+        return None
+    diameter = stops_m / FLATNESS
+    rows = told["completeness"]
+    known = [row["diameter_m"] for row in rows]
+    size = max((d for d in known if d <= diameter), default=min(known))
+    shares = [(r["range_from_m"], r["range_to_m"], r["share"]) for r in rows if r["diameter_m"] == size]
+    camera = np.array(told["camera_m"], dtype=float)
+    steps = np.hypot(*np.diff(places_m, axis=0).T)
+    away = np.hypot(np.hypot(*(0.5 * (places_m[1:] + places_m[:-1]) - camera[:2]).T), camera[2])
+    share = np.zeros(len(steps))
+    for low, high, value in shares:
+        share[(away >= low) & (away < high)] = value
+    listed = [feature.get("properties") or {} for feature in document["features"]]
+    large = sum(float(one.get("diameter_m", 0.0)) >= diameter for one in listed)
+    density = (large + 0.5) / float(told["area_m2"]) / max(float(np.mean([v for *_, v in shares])), 0.05)
+    chance = 1.0 - math.exp(-density * width_m * float((steps * (1.0 - share)).sum()))
+    ends = " to ".join(dict.fromkeys(f"{100 * v:.0f} %" for v in (share.min(initial=1.0), share.max(initial=0.0))))
+    return (
+        f"rocks of {100 * diameter:.0f} cm, {100 * stops_m:.0f} cm high, stop a wheel: the search behind {source.name} "
+        f"finds {ends} of them along the way (0 % beyond {max(high for _, high, _ in shares):g} m of the camera); "
+        f"the chance that one was missed there is {100 * chance:.0f} %"
+    )
 
 
 def _zones(document: Any, crs: str) -> Zones:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.errors import within_option
-from lunarsci.io.inputs import Source
+from lunarsci.io.inputs import Source, read_input
 from lunarsci.io.tables import TABLE_FORMS
 from lunarsci.options import refuse_where, request_of
 from lunarsci.provenance import sha256, to_json
@@ -16,7 +16,7 @@ from lunarsci.result import Doubt, MadeFrom, Progress, Result, job
 from lunarsci.twin.assimilation.segments import planned_places
 from lunarsci.twin.comparison.forecast import FILE, forecast_document, forecast_of
 from lunarsci.twin.ground.finer_ground import Unresolved, with_unresolved
-from lunarsci.twin.ground.hazards import read_mobility
+from lunarsci.twin.ground.hazards import missed_rocks, read_mobility, rover_footprint
 from lunarsci.twin.ground.illumination import parse_sun
 from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, Soils, read_drive_inputs
 from lunarsci.twin.jobs.requests import PoweredRequest, PredictRequest
@@ -215,7 +215,19 @@ def predict(
     soils = Soils.of(inputs, asked.sweep or None, asked.members, asked.seed or 0)
     soils.warn_of_seed(asked.seed)
     prediction = predict_drives(soils, asked.time_step, asked.sample, progress)
-    return _asked_about(_judged(soils, prediction, asked, unresolved), questions)
+    result = _judged(soils, prediction, asked, unresolved)
+    notes = (*result.verdict.notes, *_missed(inputs, asked.keep_out))
+    return _asked_about(replace(result, verdict=replace(result.verdict, notes=notes)), questions)
+
+
+def _missed(inputs: DriveInputs, files: Sequence[str]) -> Iterator[str]:
+    """What searches for rocks behind keep-out files may have missed along the planned way."""
+    rover, outline = inputs.rover, rover_footprint(inputs.rover)
+    step = read_mobility(inputs.description, rover).max_step_m
+    for name in files:
+        told = missed_rocks(read_input(name), planned_places(inputs.plan, rover), 2 * outline.half_width_m, step)
+        if told is not None:
+            yield told
 
 
 def _asked_about(result: PredictedDrives, questions: tuple[Question, ...]) -> PredictedDrives:
