@@ -41,7 +41,7 @@ BLOCK = 12
 MOVED = ("x_m", "y_m", "turn_rad", "z_m", "tilt_x", "tilt_y")
 """How a model is laid on another: moved, turned from x towards y, raised, and raised along x and y."""
 SMOOTHED = (8.0, 4.0, 2.0, 0.0)
-"""Widths over which heights are smoothed for that, one after the other: poses are off by some nodes. [nodes]"""
+"""Widths over which heights are smoothed for that, in this order; assumed: poses are off by some nodes. [nodes]"""
 COLUMNS = ("offset", "x_m", "y_m")
 """What a model may be off by: its common error, in units of it, and its position."""
 

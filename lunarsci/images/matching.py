@@ -48,11 +48,7 @@ LEVELS = (4, 4, 2, 2)
 time begins at slopes that the ground has."""
 WIDE_HALF_PX, WIDE_SMOOTH_PX = 4, 5
 """Windows of the field, in pixels of its pictures, and width over which it is smoothed: so wide that in two pairs of
-smooth ruts (`scenes.py`: pressed 100 and 101) nothing of the start is left."""
-WIDE_PX = 2 * (2 * WIDE_HALF_PX + WIDE_SMOOTH_PX)
-"""Width of the ground of the left picture that a value of the field is a mean of. [px]"""
-UNKNOWN_PX = 1e3
-"""Error of a field that is not known. [px]"""
+smooth ruts (`scenes.py`: pressed 100 and 101) nothing of the start is left; else assumed."""
 ROWS = 16
 """Rows of refined pixels that a thread takes at a time."""
 REASONS = ("matched", "edge", "saturated", "shadow", "no texture", "occluded", "no match", "island")
@@ -365,14 +361,12 @@ class StereoMatches:
     def archive(self) -> bytes:
         """Disparities, their errors and windows, and reasons as a NumPy archive, with what turns them into depths."""
         made, frame = io.BytesIO(), self.rectified
-        layers: dict[str, Any] = {
-            "disparity_px": self.disparity,
-            "sigma_px": self.sigma_px,
-            "window_px": self.window_px,
+        content: dict[str, Any] = {
+            f"{key}_px": getattr(self, name).astype(np.float32)
+            for key, name in (("disparity", "disparity"), ("sigma", "sigma_px"), ("window", "window_px"))
         }
-        own: dict[str, Any] = {"focal_px": frame.focal_px, "center_px": frame.center_px, "baseline_m": frame.baseline_m}
-        own |= {"turn": frame.turn, "reason": self.reason, "reasons": REASONS}
-        np.savez_compressed(made, **{k: v.astype(np.float32) for k, v in layers.items()}, **own)
+        content |= {"reason": self.reason, "reasons": REASONS, "turn": frame.turn, "focal_px": frame.focal_px}
+        np.savez_compressed(made, center_px=frame.center_px, baseline_m=frame.baseline_m, **content)
         return made.getvalue()
 
     def picture(self) -> bytes:
@@ -446,22 +440,24 @@ def match(
     report(2, 5)
     offset, moved = _rows_in_line(pictures, first, names)
     report(3, 5)
-    found, sigma, share = _weighed(pictures[0], moved, first)
+    disparity, sigma, share = _weighed(pictures[0], moved, first)
     report(4, 5)
-    reason = _reasons(pictures, full, found, sigma, frame)
-    reason[(reason == MATCHED) & _islands(np.where(reason == MATCHED, found, np.nan))] = ISLAND
+    reason = _reasons(pictures, full, disparity, sigma, frame)
+    reason[(reason == MATCHED) & _islands(np.where(reason == MATCHED, disparity, np.nan))] = ISLAND
     known = reason == MATCHED
     if known.mean() < FEWEST:
         check_sides(rig, ties_of(left, right), names)
         raise DataError(f"{names}: {TOO_FEW}")
+    small, wide = 2 * HALF_PX + 1, LEVELS[-1] * (2 * WIDE_HALF_PX + WIDE_SMOOTH_PX)
+    window = small + share * (wide - small)
     report(5, 5)
     return StereoMatches(
         rectified=frame,
         left=pictures[0].astype(float),
         right=moved.astype(float),
-        disparity=np.where(known, found, np.nan),
+        disparity=np.where(known, disparity, np.nan),
         sigma_px=np.where(known, sigma, np.nan),
-        window_px=np.where(known, 2 * HALF_PX + 1 + share * (WIDE_PX - 2 * HALF_PX - 1), np.nan),
+        window_px=np.where(known, window, np.nan),
         reason=reason,
         first=first,
         row_offset_px=offset,
@@ -482,16 +478,16 @@ def _weighed(
     two = refine(left, right, np.where(elsewhere, first, np.nan), _slopes(first))
     apart = (one.disparity - smooth) ** 2 - one.variance
     relief = np.maximum(_mean_in_window(apart, 2 * (2 * HALF_PX + 1))[0], 0.0)
-    wide = np.nan_to_num(field.variance + relief, nan=UNKNOWN_PX**2)
+    wide = np.nan_to_num(field.variance + relief, nan=1e6)
     small, variance = _mixture(one, two, smooth, wide)
     smooth = np.where(np.isfinite(smooth), smooth, small)
     # Both windows show the same: their errors are one. So is what starts differ by, beyond what weak texture explains.
     share = variance / (variance + wide)
-    found = (1.0 - share) * small + share * smooth
+    mean = (1.0 - share) * small + share * smooth
     total = ((1.0 - share) * np.sqrt(variance) + share * np.sqrt(wide)) ** 2
     total += share * (1.0 - share) * (small - smooth) ** 2
-    total += np.maximum((first - found) ** 2 - START_SIGMAS**2 * variance - STARTS_PX**2, 0.0)
-    return found, np.sqrt(total + (RELIEF * _relief(found)) ** 2 + SMALLEST_SIGMA_PX**2), share
+    total += np.maximum((first - mean) ** 2 - START_SIGMAS**2 * variance - STARTS_PX**2, 0.0)
+    return mean, np.sqrt(total + (RELIEF * _relief(mean)) ** 2 + SMALLEST_SIGMA_PX**2), share
 
 
 def _mixture(one: Refined, two: Refined, field: FloatArray, wide: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -635,12 +631,19 @@ def _field(left: npt.NDArray[np.float32], right: npt.NDArray[np.float32], first:
         ratio = small[0] / planes.middle.shape[0]
         middle, u, v = (_scaled(a, small) for a in planes[:3])
         begun = _scaled(one, small), _scaled(two, small), ratio * middle, (u, v)
-        found = refine(*begun, half_px=WIDE_HALF_PX)
-        weight = np.nan_to_num(1.0 / (found.sigma**2 + SMALLEST_SIGMA_PX**2))
-        planes = _Planes.of(found.disparity, WIDE_SMOOTH_PX, weight)
+        windows = refine(*begun, half_px=WIDE_HALF_PX)
+        weight = np.nan_to_num(1.0 / (windows.sigma**2 + SMALLEST_SIGMA_PX**2))
+        planes = _Planes.of(windows.disparity, WIDE_SMOOTH_PX, weight)
         planes = planes._replace(middle=np.where(np.isfinite(planes.middle), planes.middle, ratio * middle))
     level = LEVELS[-1]
-    layers = level * planes.middle, level * found.sigma, planes.slope_u, planes.slope_v, found.misfit, found.row_offset
+    layers = (
+        level * planes.middle,
+        level * windows.sigma,
+        planes.slope_u,
+        planes.slope_v,
+        windows.misfit,
+        windows.row_offset,
+    )
     return Refined(*(_scaled(a, (tall, wide))[: shape[0], : shape[1]] for a in layers))
 
 
@@ -685,14 +688,14 @@ def _rows_in_line(
 def _reasons(
     pictures: list[npt.NDArray[np.float32]],
     full: list[npt.NDArray[np.bool_]],
-    found: FloatArray,
+    disparity: FloatArray,
     sigma: FloatArray,
     frame: Rectified,
 ) -> npt.NDArray[np.uint8]:
     """Why a pixel has no disparity, by its number in `REASONS`; the first reason that holds. (h, w)
 
     pictures, full : the rectified left and right one, and where they are saturated. (h, w) each
-    found, sigma : disparities and their errors. (h, w) [px]
+    disparity, sigma : disparities and their errors. (h, w) [px]
     frame : the rectified frame.
     """
     cv2 = open_cv()
@@ -704,12 +707,12 @@ def _reasons(
     inside = ((frame.maps[0] >= reach) & (frame.maps[0] <= last)).all(axis=-1)
     reason = np.full(frame.shape, MATCHED, dtype=np.uint8)
     for code, mask in (
-        (NO_MATCH, ~np.isfinite(found)),
-        (OCCLUDED, _occluded(found)),
+        (NO_MATCH, ~np.isfinite(disparity)),
+        (OCCLUDED, _occluded(disparity)),
         (NO_TEXTURE, sigma > LARGEST_SIGMA_PX),
         (SHADOW, light - black < DARK * bright),
         (SATURATED, cv2.boxFilter(full[0].astype(np.float32), -1, window) > 1e-6),
-        (EDGE, ~inside | (np.arange(frame.shape[1]) - np.nan_to_num(found) < HALF_PX + 2)),
+        (EDGE, ~inside | (np.arange(frame.shape[1]) - np.nan_to_num(disparity) < HALF_PX + 2)),
     ):
         reason[mask] = code
     return reason
