@@ -181,10 +181,9 @@ def _ground(rig: StereoRig, ties: CommonFeatures, pose: Pose | None) -> tuple[Fl
     points = rig.triangulate(*ties).points
     level = np.eye(3)
     if pose is not None:
-        down = -pose.rotation[2]
-        ahead = np.array([0.0, 0.0, 1.0]) - down[2] * down
-        ahead /= np.linalg.norm(ahead)
-        level = np.stack([np.cross(down, ahead), down, ahead])
+        heading = math.radians(pose.angles_deg()[0])
+        right, ahead = (math.sin(heading), -math.cos(heading), 0.0), (math.cos(heading), math.sin(heading), 0.0)
+        level = np.array([right, (0.0, 0.0, -1.0), ahead]) @ pose.rotation
     x, y, z = (points[np.isfinite(points).all(axis=1)] @ level.T).T
     plane, _ = robust_fit(np.column_stack([np.ones(len(x)), x, z]), y)
     distance = float(np.median(np.hypot(x, z)))
@@ -213,15 +212,10 @@ def _observed(rig: StereoRig, ties: CommonFeatures, pose: Pose | None, tilt_deg:
     good = (weight > 0) & (apart[:, 2] > 0)
     if good.sum() < FEWEST:
         return None
-    ties, design, apart, weight = (
-        CommonFeatures(ties.left[good], ties.right[good]),
-        design[good],
-        apart[good],
-        weight[good],
-    )
-    root = np.sqrt(weight)[:, None]
+    ties, design, apart = CommonFeatures(ties.left[good], ties.right[good]), design[good], apart[good]
+    root = np.sqrt(weight[good])[:, None]
     scatter = robust_scatter(apart[:, 3] - design @ plane)
-    inverse = np.linalg.inv((design * root).T @ (design * root))
+    inverse = np.linalg.pinv((design * root).T @ (design * root))
     near = apart[:, 2] >= np.quantile(apart[:, 2], 1 - NEAREST)
     ground = CommonFeatures(ties.left[near], ties.right[near])
 
@@ -229,9 +223,8 @@ def _observed(rig: StereoRig, ties: CommonFeatures, pose: Pose | None, tilt_deg:
         rows = _apart(one, ties)[:, 3]
         if not np.isfinite(rows).all():
             raise ParameterError(f"{one.name}: does not see what it saw")
-        return np.append(
-            np.linalg.lstsq(design * root, rows * root[:, 0], rcond=None)[0], _ground(one, ground, pose)[0]
-        )
+        terms = np.linalg.lstsq(design * root, rows * root[:, 0], rcond=None)[0]
+        return np.append(terms, _ground(one, ground, pose)[0])
 
     _, distance = _ground(rig, ground, pose)
     tilt = math.radians(tilt_deg)
@@ -255,9 +248,7 @@ def _errors(rig: StereoRig, posed: bool) -> list[_Error]:
         _Error("the right picture, or its camera, is turned by {deg:.2g} deg about its axis", 1e-3, unit[20]),
         _Error("the right picture is {x:.2g} px too low, or its camera looks too high", 1.0, unit[12]),
         _Error(
-            "the right camera stood {x:.2g} m ahead of its place in the rig, or the rover moved between the pictures",
-            0.01,
-            ahead,
+            "the right camera stood {x:.2g} m ahead of its place, or the rover moved between the pictures", 0.01, ahead
         ),
         _Error(f"the camera is {{x:.2g}} m higher over the ground than {rig.height_m:g} m", 0.1, none, (1.0, 0.0, 0.0)),
     ]
@@ -279,7 +270,8 @@ def _size(left: Callable[[float], FloatArray], step: float, inverse: FloatArray)
 
 
 def reliability(rig: StereoRig, ties: CommonFeatures, pose: Pose | None, tilt_deg: float) -> Reliability | None:
-    """Whether rig, mast and pose can be those of the pictures of some ties; None where these are too few to say.
+    """Whether rig, mast and pose can be those of the pictures of some ties; None where these are too few to say, or
+    at the edge of what the lenses see.
 
     `tilt_deg` is the standard deviation of the pose's angles below the horizon and about its axis. [deg]
     """
@@ -295,8 +287,11 @@ def reliability(rig: StereoRig, ties: CommonFeatures, pose: Pose | None, tilt_de
     slopes = np.zeros((len(off), len(sigma)))
     for k in np.flatnonzero(sigma):
         step = 0.1 * sigma[k] * np.eye(len(sigma))[k]
-        slopes[:, k] = (observed.of(rig.moved(step)) - expected - off) / (0.1 * sigma[k])
-    inverse = np.asarray(np.linalg.inv(observed.covariance + slopes @ prior @ slopes.T), dtype=float)
+        try:
+            slopes[:, k] = (observed.of(rig.moved(step)) - expected - off) / (0.1 * sigma[k])
+        except ParameterError:
+            return None
+    inverse = np.asarray(np.linalg.pinv(observed.covariance + slopes @ prior @ slopes.T), dtype=float)
     square = float(off @ inverse @ off)
     explained = list[tuple[float, str]]()
     probability = float(chdtrc(len(off), square))
