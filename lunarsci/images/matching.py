@@ -77,7 +77,7 @@ six rendered pairs of ground without texture: a third of the pixels on islands w
 ISLAND_OFF, ABOUT_PX = 0.5, 33
 """How far an island may be off the ground about it, as a share of its disparity, and the width of the window in which
 this ground is looked for [px]; measured: of shares from 0.1 on this one costs a real pair the fewest pixels."""
-CORRELATED = 1.9
+CORRELATED = 1.8
 """Random errors over those of the normal matrix, since what is left of the light is correlated: fitted to four
 rendered pairs (`tests/benchmarks/scenes.py`: NavCam 2 and 4, PanCam 1 and 10), and tried on others."""
 RELIEF = 0.9
@@ -480,6 +480,7 @@ def _weighed(
     relief = np.maximum(_mean_in_window(apart, 2 * (2 * HALF_PX + 1))[0], 0.0)
     wide = np.nan_to_num(field.variance + relief, nan=1e6)
     small, variance = _mixture(one, two, smooth, wide)
+    del one, two, field, slopes, apart, relief
     smooth = np.where(np.isfinite(smooth), smooth, small)
     # Both windows show the same: their errors are one. So is what starts differ by, beyond what weak texture explains.
     share = variance / (variance + wide)
