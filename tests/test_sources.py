@@ -64,7 +64,8 @@ SETTINGS = {
     "places in rows, not numbers of the world": (
         "spectra/bands.py: TRIED, IS_CONIC, IS_HULL, AGAINST, DEEPEST_NM, OTHER_NM, CHOICES",),
     "where something is drawn or told, or how finely": (
-        "images/jobs/cameras.py: RANGES_M", "images/jobs/dem.py: RANGES_M", "images/jobs/render.py: TRUTH_STEP_M",
+        "images/jobs/cameras.py: RANGES_M", "images/jobs/dem.py: RANGES_M", "images/rocks.py: RANGES_M",
+        "images/jobs/render.py: TRUTH_STEP_M",
         "regolith/identify.py: CURVES", "spectra/chemistry/bands.py: BELOW_NM",
         "spectra/chemistry/bands.py: X_NM, Y_NM", "spectra/mgm/fit_file.py: PLOT_AXIS",
         "spectra/vnis/calibration.py: _SHADOW, _INVALID", "spectra/vnis/calibration.py: LOOKS",
@@ -76,7 +77,8 @@ SETTINGS = {
     "how long machines are waited for, and how much memory is taken": (
         "parallel/dask_cluster.py: CONNECT_S, LONELY_S, LOOK_S", "twin/simulation/contact.py: MOST_NODES"),
     "steps, starts and ends of a search or a sum, and where floating point runs out: finer ones give the same": (
-        "images/rocks.py: SCALES_M", "images/matching.py: SMALL_STEP_PX",
+        "images/rocks.py: LEAST", "images/rocks.py: RINGS", "images/stones.py: SMALLEST_M",
+        "images/matching.py: SMALL_STEP_PX",
         "compiled/lanes.py: DOUBLES_LAYOUT", "compiled/lanes.py: SINGLES_LAYOUT",
         "heights/projections.py: STEP_M", "regolith/inference/mode.py: FIRST_SHARE, ROUNDS, SETTLED",
         "regolith/inference/mode.py: LONGEST", "regolith/inference/prediction.py: STEPS, SHALLOWEST",

@@ -15,10 +15,11 @@ from .dem import Left, Right
 if TYPE_CHECKING:
     from lunarsci.images.jobs.rocks import RockList
 
+CAMERA = "Camera and light"
 OPTIONS = {
-    "rig": option(metavar="RIG"),
-    "pose": option(metavar="FILE", show_default="ground near the rover taken as level"),
-    "sun": option(show_default="found from the light of the ground"),
+    "rig": option(metavar="RIG", panel=CAMERA),
+    "pose": option(metavar="FILE", panel=CAMERA, show_default="ground near the rover taken as level"),
+    "sun": option(panel=CAMERA, show_default="found from the light of the ground"),
     "largest": option(),
     "false_share": option(),
     "sizes": option(),

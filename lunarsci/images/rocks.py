@@ -21,7 +21,7 @@ from lunarsci.errors import DataError
 from lunarsci.images.camera import Pose
 from lunarsci.images.matching import DARK, StereoMatches
 from lunarsci.images.pictures import open_cv
-from lunarsci.images.stones import FLATNESS, SMALLEST_M, Image, Scene, put_stone, spots
+from lunarsci.images.stones import FLATNESS, SMALLEST_M, Image, StonePair, put_stone, spots
 from lunarsci.result import Progress
 
 ROCK_PX, HALF_PX, RATIO, LEVELS = 7.0, 6, 1.3, 13
@@ -55,7 +55,7 @@ class Level(NamedTuple):
     stands_out: Image
 
 
-class Candidates(NamedTuple):
+class RockCandidates(NamedTuple):
     """What may be rocks.
 
     Attributes
@@ -72,9 +72,9 @@ class Candidates(NamedTuple):
     raised_px: FloatArray
     disparity: FloatArray
 
-    def only(self, which: npt.NDArray[np.intp]) -> "Candidates":
+    def only(self, which: npt.NDArray[np.intp]) -> "RockCandidates":
         """Some of them."""
-        return Candidates(*(part[which] for part in self))
+        return RockCandidates(*(part[which] for part in self))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -169,33 +169,33 @@ def find_rocks(
     scene, sun_deg = _scene(matches, pose, sun_deg)
     report(1, 4)
     search = _Search(scene, largest_m, rng)
-    own, decoys = search.candidates(scene), search.candidates(scene, upside_down=True)
+    upright, decoys = search.candidates(scene), search.candidates(scene, upside_down=True)
     report(2, 4)
     trials = [search.trial() for _ in range(2)]
     put, chosen = (np.concatenate([trial[k] for trial in trials]) for k in (0, 2))
-    again = Candidates(
-        *(np.concatenate([part[k[k >= 0]] for _, c, k in trials for part in [c[n]]]) for n in range(len(own)))
+    again = RockCandidates(
+        *(np.concatenate([part[k[k >= 0]] for _, c, k in trials for part in [c[n]]]) for n in range(len(upright)))
     )
     report(3, 4)
-    sure, chances, threshold, again_scores = _sure(own, decoys, again, false_share, rng)
-    found = np.zeros(len(put), dtype=bool)
-    found[chosen >= 0] = again_scores >= threshold
+    sure, chances, threshold, again_scores = _sure(upright, decoys, again, false_share, rng)
+    detected = np.zeros(len(put), dtype=bool)
+    detected[chosen >= 0] = again_scores >= threshold
     rocks: Iterator[DetectedRock] = iter(())
     if len(sure):
         measures = _Measures.learned(scene, put[chosen >= 0], again)
-        rocks = measures.rocks(own.only(sure), chances, pose, matches.rectified.turn)
+        rocks = measures.rocks(upright.only(sure), chances, pose, matches.rectified.turn)
     return RockSurvey(
         rocks=tuple(rocks),
         threshold=float(chances.min(initial=1.0)),
         false_share=float(1.0 - chances.mean()) if len(chances) else 0.0,
-        completeness=tuple(_completeness(scene, put, found, sizes_m)),
+        completeness=tuple(_completeness(scene, put, detected, sizes_m)),
         searched_m2=_area_m2(scene),
         sun_deg=sun_deg,
     )
 
 
 def _sure(
-    own: Candidates, decoys: Candidates, again: Candidates, false_share: float, rng: np.random.Generator
+    upright: RockCandidates, decoys: RockCandidates, again: RockCandidates, false_share: float, rng: np.random.Generator
 ) -> tuple[npt.NDArray[np.intp], FloatArray, float, FloatArray]:
     """Numbers of the candidates that are rocks, their probabilities, the least score of these, and that of `again`.
 
@@ -204,9 +204,9 @@ def _sure(
     if len(again.places) < FEWEST or len(decoys.places) < FEWEST:
         return np.empty(0, dtype=np.intp), np.empty(0), math.inf, np.zeros(len(again.places))
     for _ in range(2):
-        scores = _scored(own.features, decoys.features, again.features, rng)
-        alone, mirrored = (_alone(c.places, z) for c, z in zip((own, decoys), scores, strict=False))
-        mirrored = mirrored[~_beside(decoys.only(mirrored), scores[1][mirrored], own.only(alone), scores[0][alone])]
+        scores = _scored(upright.features, decoys.features, again.features, rng)
+        alone, mirrored = (_alone(c.places, z) for c, z in zip((upright, decoys), scores, strict=False))
+        mirrored = mirrored[~_beside(decoys.only(mirrored), scores[1][mirrored], upright.only(alone), scores[0][alone])]
         false, rest = scores[1][mirrored], decoys.only(mirrored)
         if len(mirrored) < FEWEST:
             break
@@ -229,7 +229,7 @@ def _blurred(values: Image, sigma: float) -> Image:
 
 def _scene(
     matches: StereoMatches, pose: Pose, sun_deg: tuple[float, float] | None
-) -> tuple[Scene, tuple[float, float]]:
+) -> tuple[StonePair, tuple[float, float]]:
     """The pair with its ground, and azimuth and elevation of the Sun [deg], found where they are not given."""
     frame, ground = matches.rectified, _ground(matches.disparity)
     left, right = (np.asarray(p, dtype=np.float32) for p in (matches.left, matches.right))
@@ -243,7 +243,7 @@ def _scene(
     turn = frame.turn @ pose.rotation.T
     above = _parallax(ground, left, right)
     lens = frame.focal_px, frame.center_px, frame.baseline_m
-    scene = Scene(left, right, ground, above, searched, *lens, turn[:, 2], turn[:, 2])
+    scene = StonePair(left, right, ground, above, searched, *lens, turn[:, 2], turn[:, 2])
     sun_deg = sun_deg or _likeliest_sun(scene, turn)
     return scene._replace(sun=turn @ _direction(*sun_deg)), sun_deg
 
@@ -254,7 +254,7 @@ def _direction(azimuth_deg: float, elevation_deg: float) -> FloatArray:
     return np.array([math.cos(rise) * math.cos(turn), math.cos(rise) * math.sin(turn), math.sin(rise)])
 
 
-def _likeliest_sun(scene: Scene, turn: FloatArray) -> tuple[float, float]:
+def _likeliest_sun(scene: StonePair, turn: FloatArray) -> tuple[float, float]:
     """Azimuth and elevation [deg], in steps of 15, whose light on the slopes goes best with that of the picture.
 
     Light is that of Lommel and Seeliger; compared are logarithms less their means about, by their correlation.
@@ -278,15 +278,15 @@ def _likeliest_sun(scene: Scene, turn: FloatArray) -> tuple[float, float]:
         logs = np.log(np.maximum(values, 0.0) + 0.05).astype(np.float32)
         return np.asarray((logs - _blurred(logs, 8.0))[good], dtype=float)
 
-    seen, best, found = about(light / np.percentile(light, 90)), -2.0, (0.0, 30.0)
+    seen, best, detected = about(light / np.percentile(light, 90)), -2.0, (0.0, 30.0)
     for azimuth in range(0, 360, 15):
         for rise in (15, 30, 45, 60):
             mu0 = np.maximum(normal @ (turn @ _direction(azimuth, rise)), 0.0)
             mu = np.maximum((normal * view).sum(-1), 0.02)
             alike = float(np.corrcoef(about(mu0 / (mu0 + mu)), seen)[0, 1])
             if alike > best:
-                best, found = alike, (float(azimuth), float(rise))
-    return found
+                best, detected = alike, (float(azimuth), float(rise))
+    return detected
 
 
 def _ground(disparity: FloatArray) -> Image:
@@ -318,7 +318,7 @@ def _parallax(ground: Image, left: Image, right: Image) -> Image:
     cv2, top = open_cv(), 0.06 * np.percentile(left, 90)
     left, right = (p / (_blurred(p, 12.0) + top) for p in (left, right))
     quarter = [cv2.resize(p, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA) for p in (left, right, ground)]
-    coarse, sharp = _least_squares(*quarter[:2], quarter[2] / 4, np.arange(-2.0, 6.1, 0.5), 1.5)
+    coarse, sharp = _least_squares(quarter[0], quarter[1], quarter[2] / 4, np.arange(-2.0, 6.1, 0.5), 1.5)
     coarse = _weighted(cv2.medianBlur(coarse, 3), sharp, 0.05, (1.5,))
     base = _blurred(4 * cv2.resize(coarse, left.shape[::-1], interpolation=cv2.INTER_LINEAR), 3.0)
     fine, sharp = _least_squares(left, right, ground + base, np.arange(-2.5, 3.6, 0.5), 2.0)
@@ -342,7 +342,7 @@ def _least_squares(left: Image, right: Image, base: Image, steps: FloatArray, si
 
 def _weighted(values: Image, sharp: Image, floor: float, sigmas: tuple[float, ...]) -> Image:
     """Means under Gaussians, the wide ones where all that is near is blunt: below `floor` of the median. (h, w)"""
-    weight = (sharp / (sharp + floor * np.median(sharp))) ** 2 + 1e-6
+    weight = np.asarray((sharp / (sharp + floor * np.median(sharp))) ** 2 + 1e-6, dtype=np.float32)
     total, sums = np.zeros_like(values), np.zeros_like(values)
     for sigma in sigmas:
         share = 1.0 if sigma == sigmas[0] else 0.03
@@ -350,7 +350,7 @@ def _weighted(values: Image, sharp: Image, floor: float, sigmas: tuple[float, ..
     return np.asarray(total / sums)
 
 
-def _pyramid(scene: Scene) -> list[Level]:
+def _pyramid(scene: StonePair) -> list[Level]:
     """What a pair shows, level by level."""
     cv2, left = open_cv(), scene.left
     above = np.where(scene.searched, scene.above, 0.0).astype(np.float32)
@@ -383,13 +383,13 @@ def _stands_out(above: Image) -> Image:
         for k, high in enumerate(ranked):
             ranked[k], lower = np.maximum(high, lower), np.minimum(high, lower)
     lines = np.maximum.reduce([np.minimum(a, b) for a, b in zip(about[:4], about[4:], strict=True)])
-    return _blurred(above, 0.25 * ROCK_PX) - np.stack([*ranked, lines])
+    return np.asarray(_blurred(above, 0.25 * ROCK_PX) - np.stack([*ranked, lines]))
 
 
 class _Search:
     """A search for rocks in one picture, with the templates and the scatter that it has from this picture."""
 
-    def __init__(self, scene: Scene, largest_m: float, rng: np.random.Generator) -> None:
+    def __init__(self, scene: StonePair, largest_m: float, rng: np.random.Generator) -> None:
         self.scene, self.largest_m, self.rng = scene, largest_m, rng
         self.levels = _pyramid(scene)
         _, changed, shown = self._put()
@@ -456,7 +456,7 @@ class _Search:
         looks = sum(cv2.filter2D(i, cv2.CV_32F, t, borderType=cv2.BORDER_REFLECT) for i, t in pairs)
         return [*level.stands_out, looks]
 
-    def candidates(self, scene: Scene, upside_down: bool = False) -> Candidates:
+    def candidates(self, scene: StonePair, upside_down: bool = False) -> RockCandidates:
         """What stands out or looks like a rock, more than all within 0.6 of its width."""
         levels = self.levels if scene is self.scene else _pyramid(scene)
         if upside_down:
@@ -481,11 +481,11 @@ class _Search:
         if not places:
             raise DataError("too little lit ground is seen near enough for rocks")
         where = np.concatenate(places)
-        parts = (np.concatenate(part) for part in (features, sigmas, raised))
-        found = Candidates(where, *parts, scene.feet(where)[1])
-        return found.only(_alone(found.places, found.stands_out, 0.6))
+        parts = [np.concatenate(part) for part in (features, sigmas, raised)]
+        detected = RockCandidates(where, parts[0], parts[1], parts[2], scene.feet(where)[1])
+        return detected.only(_alone(detected.places, detected.stands_out, 0.6))
 
-    def _put(self) -> tuple[FloatArray, Scene, FloatArray]:
+    def _put(self) -> tuple[FloatArray, StonePair, FloatArray]:
         """Rocks put in (n, 4): u, v, diameter, height [m]; the scene then; what shows of each, u, v, width, height."""
         scene = self.scene
         put = spots(scene, self.largest_m, self.rng)
@@ -496,17 +496,17 @@ class _Search:
         changed = scene._replace(left=pictures[0], right=pictures[1], above=_parallax(scene.ground, *pictures))
         return put[seen], changed, shown[seen]
 
-    def trial(self) -> tuple[FloatArray, Candidates, npt.NDArray[np.intp]]:
+    def trial(self) -> tuple[FloatArray, RockCandidates, npt.NDArray[np.intp]]:
         """Rocks put in, candidates of that picture, and which of these is each of those; -1 for none. (n, 4), (n,)"""
         put, changed, shown = self._put()
-        found = self.candidates(changed)
+        detected = self.candidates(changed)
         chosen = np.full(len(put), -1, dtype=np.intp)
         for k, (u, v, width, height) in enumerate(shown):
-            apart = np.abs(found.places[:, :2] - (u, v))
+            apart = np.abs(detected.places[:, :2] - (u, v))
             on = np.flatnonzero((apart[:, 0] < 0.5 * width + 1) & (apart[:, 1] < 0.5 * height + 1))
             if len(on):
-                chosen[k] = on[found.stands_out[on].argmax()]
-        return put, found, chosen
+                chosen[k] = on[detected.stands_out[on].argmax()]
+        return put, detected, chosen
 
 
 def _turned(level: Level) -> Level:
@@ -585,10 +585,10 @@ def _alone(places: FloatArray, rank: FloatArray, reach: float = 0.9) -> npt.NDAr
     return np.array(chosen, dtype=np.intp)
 
 
-def _beside(decoys: Candidates, low: FloatArray, own: Candidates, high: FloatArray) -> BoolArray:
+def _beside(decoys: RockCandidates, low: FloatArray, upright: RockCandidates, high: FloatArray) -> BoolArray:
     """Decoys (n,) that are but the shadow or the dip beside a candidate of a higher score, within two widths of it."""
-    apart = np.abs(decoys.places[:, None, :2] - own.places[:, :2]).max(axis=-1)
-    wide = np.maximum(decoys.places[:, None, 2], own.places[:, 2])
+    apart = np.abs(decoys.places[:, None, :2] - upright.places[:, :2]).max(axis=-1)
+    wide = np.maximum(decoys.places[:, None, 2], upright.places[:, 2])
     return np.asarray(((apart < 1.3 * wide) & (high > low[:, None])).any(axis=1))
 
 
@@ -611,7 +611,7 @@ def _logistic(rows: FloatArray, true: FloatArray, weight: FloatArray, ridge: flo
 
 
 def _scored(
-    own: FloatArray, decoys: FloatArray, rocks: FloatArray, rng: np.random.Generator
+    upright: FloatArray, decoys: FloatArray, rocks: FloatArray, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Logarithm of how much likelier features (n, k) are a rock's than the ground's, of each of the three kinds.
 
@@ -619,38 +619,38 @@ def _scored(
     """
     middle = np.median(decoys, axis=0)
     unit = np.array([max(robust_scatter(c), 1e-3 * float(c.std()) + 1e-9) for c in decoys.T])
-    own, decoys, rocks = (np.clip((part - middle) / unit, -5, 5) for part in (own, decoys, rocks))
-    scores = np.zeros(len(own)), np.zeros(len(decoys)), np.zeros(len(rocks))
+    upright, decoys, rocks = (np.clip((part - middle) / unit, -5, 5) for part in (upright, decoys, rocks))
+    scores = np.zeros(len(upright)), np.zeros(len(decoys)), np.zeros(len(rocks))
     folds = [rng.permutation(len(part)) % 5 for part in (decoys, rocks)]
     for k in range(5):
         ground, stones = (part[fold != k] for part, fold in zip((decoys, rocks), folds, strict=True))
         true = np.repeat([0.0, 1.0], [len(ground), len(stones)])
         weight = np.where(true > 0, len(ground) / max(len(stones), 1), 1.0)
         values, _ = _logistic(np.vstack([ground, stones]), true, weight, 10.0)
-        scores[0][:] += (values[0] + own @ values[1:]) / 5
+        scores[0][:] += (values[0] + upright @ values[1:]) / 5
         for score, part, fold in zip(scores[1:], (decoys, rocks), folds, strict=True):
             score[fold == k] = values[0] + part[fold == k] @ values[1:]
     return scores
 
 
 def _false_rate(
-    own: FloatArray, decoys: FloatArray, false_share: float
+    upright: FloatArray, decoys: FloatArray, false_share: float
 ) -> tuple[Callable[[FloatArray], FloatArray], float]:
     """The chance that a find of a score is none, and the least score at which such a share of all is expected false.
 
     It is the density of decoys over that of finds (local false discovery rate: Efron 2008, 10.1214/07-STS236), by a
     logistic regression on max(score, 0), made smooth.
     """
-    scores, true = np.concatenate([own, decoys]), np.repeat([1.0, 0.0], [len(own), len(decoys)])
+    scores, true = np.concatenate([upright, decoys]), np.repeat([1.0, 0.0], [len(upright), len(decoys)])
     values, _ = _logistic(np.logaddexp(0.0, scores)[:, None], true, np.ones(len(scores)), 0.01)
 
     def doubt(at: FloatArray) -> FloatArray:
-        return np.minimum(np.exp(-(values[0] + values[1] * np.logaddexp(0.0, at))), 1.0)
+        return np.asarray(np.minimum(np.exp(-(values[0] + values[1] * np.logaddexp(0.0, at))), 1.0))
 
-    ranked = np.sort(own)[::-1]
+    ranked = np.sort(upright)[::-1]
     mean = np.cumsum(doubt(ranked)) / np.arange(1, len(ranked) + 1)
-    kept = np.flatnonzero(mean <= false_share)
-    return doubt, float(ranked[kept[-1]]) if len(kept) else math.inf
+    passing = np.flatnonzero(mean <= false_share)
+    return doubt, float(ranked[passing[-1]]) if len(passing) else math.inf
 
 
 class _Measures(NamedTuple):
@@ -664,17 +664,17 @@ class _Measures(NamedTuple):
     ahead, aside : how far the middle is behind, and to the right of, what was seen of it, in diameters.
     """
 
-    scene: Scene
+    scene: StonePair
     size: tuple[float, float]
     flatness: tuple[float, float, float]
     ahead: tuple[float, float]
     aside: tuple[float, float]
 
     @classmethod
-    def learned(cls, scene: Scene, put: FloatArray, found: Candidates) -> "_Measures":
+    def learned(cls, scene: StonePair, put: FloatArray, detected: RockCandidates) -> "_Measures":
         """From rocks put in (n, 4) and the candidates that they are."""
         start = cls(scene, (0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
-        across, rise, middle, ways = start._raw(found)
+        across, rise, middle, ways = start._raw(detected)
         logs = np.log(put[:, 2] / across)
         size = float(np.median(logs)), robust_scatter(logs)
         across *= math.exp(size[0])
@@ -690,22 +690,24 @@ class _Measures(NamedTuple):
             *scatters,
         )
 
-    def _raw(self, found: Candidates) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    def _raw(self, detected: RockCandidates) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Width of the level (n,), rise over the ground about (n,), place of what is seen (n, 3) [m], and the level
         directions ahead and to the right (n, 2, 3)."""
         scene = self.scene
-        points = scene.points(found.places, found.disparity)
-        across = found.places[:, 2] * scene.baseline_m / found.disparity
-        rise = found.raised_px / found.disparity * -(points @ scene.up)
+        points = scene.points(detected.places, detected.disparity)
+        across = detected.places[:, 2] * scene.baseline_m / detected.disparity
+        rise = detected.raised_px / detected.disparity * -(points @ scene.up)
         ahead = points - (points @ scene.up)[:, None] * scene.up
         ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
         return across, rise, points, np.stack([ahead, np.cross(ahead, scene.up)], axis=1)
 
-    def rocks(self, found: Candidates, chances: FloatArray, pose: Pose, turn: FloatArray) -> Iterator[DetectedRock]:
+    def rocks(
+        self, detected: RockCandidates, chances: FloatArray, pose: Pose, turn: FloatArray
+    ) -> Iterator[DetectedRock]:
         """The rocks that candidates are; `turn` turns a direction of the left camera's frame into the scene's."""
         if not len(chances):
             return
-        across, rise, middle, ways = self._raw(found)
+        across, rise, middle, ways = self._raw(detected)
         across = across * math.exp(self.size[0])
         flat = np.clip(self.flatness[0] + self.flatness[1] * np.clip(rise / across, 0.0, 1.5), 0.1, 1.5)
         off = np.array([self.ahead[0], self.aside[0]])
@@ -721,7 +723,7 @@ class _Measures(NamedTuple):
                 diameter_m_sigma=sigma,
                 height_m=float(wide * flat[k]),
                 height_m_sigma=float(wide) * math.hypot(self.flatness[2], flat[k] * self.size[1]),
-                significance=float(found.stands_out[k]),
+                significance=float(detected.stands_out[k]),
                 probability=float(chances[k]),
                 range_m=float(np.linalg.norm(middle[k])),
                 keepout_m=0.5 * float(wide) + math.hypot(spread * float(wide), 0.5 * sigma),
@@ -729,7 +731,7 @@ class _Measures(NamedTuple):
 
 
 def _completeness(
-    scene: Scene, put: FloatArray, found: BoolArray, sizes_m: tuple[float, ...]
+    scene: StonePair, put: FloatArray, detected: BoolArray, sizes_m: tuple[float, ...]
 ) -> Iterator[Completeness]:
     """Shares by size and range, from rocks put in (n, 4) and whether they were found (n,)."""
     from scipy.special import expit
@@ -739,7 +741,7 @@ def _completeness(
     def rows(diameter: npt.ArrayLike, reach: npt.ArrayLike) -> FloatArray:
         return np.column_stack([np.log(np.asarray(diameter) / 0.1), np.log(np.asarray(reach) / 4.0)])
 
-    values, covariance = _logistic(rows(put[:, 2], away), found.astype(float), np.ones(len(put)), 0.1)
+    values, covariance = _logistic(rows(put[:, 2], away), detected.astype(float), np.ones(len(put)), 0.1)
     for size in sizes_m:
         for low, high in pairwise(RANGES_M):
             there = (away >= low) & (away < high)
@@ -759,7 +761,7 @@ def _completeness(
             )
 
 
-def _area_m2(scene: Scene) -> float:
+def _area_m2(scene: StonePair) -> float:
     """Area of the level ground that the searched pixels show. [m2]"""
     v, u = np.nonzero(scene.searched)
     pixels = np.column_stack([u, v]).astype(float)

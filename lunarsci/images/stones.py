@@ -19,7 +19,7 @@ INJECTED = 75
 """Rocks put in at a time; of twice as many a share is known to 0.5 / sqrt(150) = 0.04."""
 
 
-class Scene(NamedTuple):
+class StonePair(NamedTuple):
     """A pair, its ground and its light.
 
     Attributes
@@ -60,7 +60,7 @@ class Scene(NamedTuple):
         return np.asarray(rays * (self.focal_px * self.baseline_m / disparity)[:, None])
 
 
-def spots(scene: Scene, largest_m: float, rng: np.random.Generator) -> FloatArray:
+def spots(scene: StonePair, largest_m: float, rng: np.random.Generator) -> FloatArray:
     """Where rocks are put in, evenly over the ground, clear of each other: u, v, diameter, height. (n, 4) [px, m]"""
     v, u = np.nonzero(scene.searched)
     weight = scene.ground[v, u].astype(float) ** -3
@@ -100,7 +100,7 @@ class _Stone(NamedTuple):
         return (first < leave.min(axis=1)) & (leave.min(axis=1) > 0), first, face
 
 
-def _stone(scene: Scene, foot: FloatArray, diameter: float, height: float, rng: np.random.Generator) -> _Stone:
+def _stone(scene: StonePair, foot: FloatArray, diameter: float, height: float, rng: np.random.Generator) -> _Stone:
     """A stone of twelve faces on the ground at a point (3,), of this width and height above it [m]."""
     normals = rng.standard_normal((12, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -121,7 +121,7 @@ def _stone(scene: Scene, foot: FloatArray, diameter: float, height: float, rng: 
 
 
 def put_stone(
-    scene: Scene, pictures: tuple[Image, Image], spot: FloatArray, noise: float, rng: np.random.Generator
+    scene: StonePair, pictures: tuple[Image, Image], spot: FloatArray, noise: float, rng: np.random.Generator
 ) -> FloatArray:
     """Put a stone into both pictures, with its shadow; u, v, width and height of what the left one shows. (4,) [px]
 
@@ -164,7 +164,7 @@ def put_stone(
 
 
 def _lit(
-    scene: Scene,
+    scene: StonePair,
     stone: _Stone,
     foot: FloatArray,
     eye: FloatArray,

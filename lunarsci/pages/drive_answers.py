@@ -442,8 +442,8 @@ def rocks(result: Result) -> ResultAnswer:
         if one.get("range_from_m") is not None
     ]
     missed = f" Found are, of rocks in view: {', '.join(shares)}." if shares else ""
-    found = f"{counted(len(listed), 'rock')} found{doubt}.{tall}{missed}"
-    return ResultAnswer(f"{_synthetic(result.get('terrain') or {})}{found}")
+    count = f"{counted(len(listed), 'rock')} found{doubt}.{tall}{missed}"
+    return ResultAnswer(f"{_synthetic(result.get('terrain') or {})}{count}")
 
 
 @answers("The soil from wheel states", "regolith-identify", "regolith-infer")

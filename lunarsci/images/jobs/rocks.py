@@ -91,8 +91,8 @@ class RockList(Result):
             radius = row["keepout_m"] / math.cos(math.pi / CORNERS)
             ring = [[row["x_m"] + radius * math.cos(t), row["y_m"] + radius * math.sin(t)] for t in turns]
             features.append(geojson_feature("Polygon", [ring], row))
-        told = {"searched": self.searched() | {"completeness": self.to_dict()["completeness"]}}
-        document = {"type": "FeatureCollection", "features": features} | told
+        search = {"searched": self.searched() | {"completeness": self.to_dict()["completeness"]}}
+        document = {"type": "FeatureCollection", "features": features} | search
         return (json.dumps(document, sort_keys=True) + "\n").encode()
 
     def notes(self) -> list[str]:

@@ -198,15 +198,15 @@ def missed_rocks(source: InputFile, places_m: FloatArray, width_m: float, stops_
     ranges that were searched nothing was found.
     """
     document = read_json(source, "a GeoJSON file of ground to keep out of", dict)
-    told = document.get("searched")
-    if not isinstance(told, Mapping) or not told.get("completeness"):
+    search = document.get("searched")
+    if not isinstance(search, Mapping) or not search.get("completeness"):
         return None
     diameter = stops_m / FLATNESS
-    rows = told["completeness"]
-    known = [row["diameter_m"] for row in rows]
-    size = max((d for d in known if d <= diameter), default=min(known))
+    rows = search["completeness"]
+    sizes = [row["diameter_m"] for row in rows]
+    size = max((d for d in sizes if d <= diameter), default=min(sizes))
     shares = [(r["range_from_m"], r["range_to_m"], r["share"]) for r in rows if r["diameter_m"] == size]
-    camera = np.array(told["camera_m"], dtype=float)
+    camera = np.array(search["camera_m"], dtype=float)
     steps = np.hypot(*np.diff(places_m, axis=0).T)
     away = np.hypot(np.hypot(*(0.5 * (places_m[1:] + places_m[:-1]) - camera[:2]).T), camera[2])
     share = np.zeros(len(steps))
@@ -214,7 +214,7 @@ def missed_rocks(source: InputFile, places_m: FloatArray, width_m: float, stops_
         share[(away >= low) & (away < high)] = value
     listed = [feature.get("properties") or {} for feature in document["features"]]
     large = sum(float(one.get("diameter_m", 0.0)) >= diameter for one in listed)
-    density = (large + 0.5) / float(told["area_m2"]) / max(float(np.mean([v for *_, v in shares])), 0.05)
+    density = (large + 0.5) / float(search["area_m2"]) / max(float(np.mean([v for *_, v in shares])), 0.05)
     chance = 1.0 - math.exp(-density * width_m * float((steps * (1.0 - share)).sum()))
     ends = " to ".join(dict.fromkeys(f"{100 * v:.0f} %" for v in (share.min(initial=1.0), share.max(initial=0.0))))
     return (

@@ -225,9 +225,9 @@ def _missed(inputs: DriveInputs, files: Sequence[str]) -> Iterator[str]:
     rover, outline = inputs.rover, rover_footprint(inputs.rover)
     step = read_mobility(inputs.description, rover).max_step_m
     for name in files:
-        told = missed_rocks(read_input(name), planned_places(inputs.plan, rover), 2 * outline.half_width_m, step)
-        if told is not None:
-            yield told
+        text = missed_rocks(read_input(name), planned_places(inputs.plan, rover), 2 * outline.half_width_m, step)
+        if text is not None:
+            yield text
 
 
 def _asked_about(result: PredictedDrives, questions: tuple[Question, ...]) -> PredictedDrives:
