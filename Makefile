@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PYTESTFLAGS ?=
+COMMA := ,
 
 # What is installed and compiled here is read again, also where Python's own compiled files are switched off.
 unexport PYTHONDONTWRITEBYTECODE
@@ -49,7 +50,7 @@ $(VENV)/.made: FORCE
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv || true
 
 $(VENV)/.installed: pyproject.toml $(VENV)/.made
-	$(call install,report)
+	$(call install,report$(COMMA)images)
 
 # What bands, fit, forces, identify and predict compile is there before anybody waits for it.
 $(VENV)/.compiled: $(VENV)/.installed
