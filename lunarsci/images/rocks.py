@@ -211,7 +211,7 @@ def _sure(
         if len(mirrored) < FEWEST:
             break
         decoys = rest
-    doubt, threshold = _false_rate(scores[0][alone], false, false_share)
+    doubt, threshold = _false_rate(scores[0][alone], false, scores[2], false_share)
     sure = alone[scores[0][alone] >= threshold]
     return sure, 1.0 - doubt(scores[0][sure]), threshold, scores[2]
 
@@ -634,23 +634,34 @@ def _scored(
 
 
 def _false_rate(
-    upright: FloatArray, decoys: FloatArray, false_share: float
+    upright: FloatArray, decoys: FloatArray, rocks: FloatArray, false_share: float
 ) -> tuple[Callable[[FloatArray], FloatArray], float]:
     """The chance that a find of a score is none, and the least score at which such a share of all is expected false.
 
-    It is the density of decoys over that of finds (local false discovery rate: Efron 2008, 10.1214/07-STS236), by a
-    logistic regression on max(score, 0), made smooth.
+    Candidates are a mixture: of the scores of rocks put in, and of those of decoys (local false discovery rate: Efron
+    2008, 10.1214/07-STS236). Their ratio is a logistic regression on max(score, 0), made smooth; the share of rocks has
+    the prior of half a rock, and is the most probable one.
     """
-    scores, true = np.concatenate([upright, decoys]), np.repeat([1.0, 0.0], [len(upright), len(decoys)])
-    values, _ = _logistic(np.logaddexp(0.0, scores)[:, None], true, np.ones(len(scores)), 0.01)
+    scores, true = np.concatenate([rocks, decoys]), np.repeat([1.0, 0.0], [len(rocks), len(decoys)])
+    weight = np.where(true > 0, len(decoys) / len(rocks), 1.0)
+    values, _ = _logistic(np.logaddexp(0.0, scores)[:, None], true, weight, 0.01)
+
+    def odds(at: FloatArray) -> FloatArray:
+        return np.asarray(np.exp(np.clip(values[0] + values[1] * np.logaddexp(0.0, at), -50, 50)))
+
+    share = 0.5 / (len(upright) + 1)
+    for _ in range(200):
+        rock = share * odds(upright)
+        share = float((rock / (rock + 1 - share)).sum() + 0.5) / (len(upright) + 1)
 
     def doubt(at: FloatArray) -> FloatArray:
-        return np.asarray(np.minimum(np.exp(-(values[0] + values[1] * np.logaddexp(0.0, at))), 1.0))
+        return np.asarray((1 - share) / (1 - share + share * odds(at)))
 
     ranked = np.sort(upright)[::-1]
-    mean = np.cumsum(doubt(ranked)) / np.arange(1, len(ranked) + 1)
-    passing = np.flatnonzero(mean <= false_share)
-    return doubt, float(ranked[passing[-1]]) if len(passing) else math.inf
+    passing = ranked[np.cumsum(doubt(ranked)) / np.arange(1, len(ranked) + 1) <= false_share]
+    every = np.linspace(0, 60, 601)
+    alone = every[doubt(every) <= false_share]
+    return doubt, min(passing.min(initial=math.inf), alone.min(initial=math.inf))
 
 
 class _Measures(NamedTuple):
