@@ -90,10 +90,13 @@ def test_false_finds_are_counted_by_decoys() -> None:
     rng = np.random.default_rng(2)
     decoys = rng.normal(-2, 1, 4000)
     own = np.concatenate([rng.normal(-2, 1, 4000), rng.normal(3, 1, 1000)])
-    doubt, threshold = _false_rate(own, decoys, 0.05)
+    doubt, threshold = _false_rate(own, decoys, rng.normal(3, 1, 200), 0.05)
     above = np.sort(own[:4000][own[:4000] > threshold])
     assert len(above) / (own > threshold).sum() == pytest.approx(0.05, abs=0.05)
     assert doubt(np.array([4.0]))[0] < 0.05 < doubt(np.array([-1.0]))[0]
+    # Where no rock is, one that surely is like those put in would be seen all the same.
+    empty, at = _false_rate(rng.normal(-2, 1, 4000), decoys, rng.normal(3, 1, 200), 0.05)
+    assert empty(np.array([1.0]))[0] > 0.5 and at < 8 and empty(np.array([at + 1]))[0] < 0.05
 
 
 def test_logistic_regression_finds_the_law_it_was_drawn_from() -> None:
