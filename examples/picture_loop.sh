@@ -64,7 +64,7 @@ say "1. What the rover sees from where it stands, and where it may not drive"
 lunarsci twin terrain synthetic "${common[@]}" --extent 16 --spacing 0.05 --seed "$seed" -o ground >ground.txt
 picture A -3.2 0 0 25
 heights A A/pose.toml
-lunarsci images rocks A.npz "${common[@]}" -o rocks.geojson | head -n 3
+lunarsci images rocks A/left.png A/right.png "${common[@]}" --rig "$rig" --pose A/pose.toml -o rocks.geojson | head -n 3
 
 say "2. Where will a drive lead, over all that is believed of lunar soil and of the heights?"
 plan out 0 0 0 "$curvature" >out.toml
