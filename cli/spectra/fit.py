@@ -166,7 +166,11 @@ def _bands_table(fit: MgmFit, overview: TextTable) -> TextTable:
     headers += ["continua: centre [nm]", "continua: strength"] if spread else []
     rows = [_band_row(band, spread) for band in fit.bands]
     rms, *ratios, status = overview.rows[0][2:]
-    shown = [f"{ratio} at {place}" for ratio, place in zip(ratios, ("1 µm", "2 µm"), strict=True) if ratio != "-"]
+    shown = [
+        f"{ratio} at {place}"
+        for ratio, place in zip(ratios, ("1 µm", "2 µm"), strict=True)
+        if ratio not in ("-", UNKNOWN)
+    ]
     ratio_text = f"; NBSR of OPX {', '.join(shown)}" if shown else ""
     notes = [f"{status}, rms of ln R {rms} %{ratio_text}"]
     notes += ["shrinkage: 1 where the data decide on centre or FWHM, 0 where the prior does"]

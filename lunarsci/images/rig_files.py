@@ -402,7 +402,7 @@ def _camera_of(file: str, name: str, tree: Mapping[str, Any], picture_px: tuple[
         size = list(_floats(given["size"])) or list(picture_px or ())
     if len(size) != 2:
         raise DataError(f"{file}: the size of the picture is missing; add image_width: … and image_height: …, or give "
-                        "--picture-size")  # fmt: skip
+                        "`picture_size`")  # fmt: skip
     width, height = (count_of(file, one, what) for one, what in zip(size, ("samples", "lines"), strict=True))
     title = str(given["name"] or name or file)
     plain = Camera(name=title, width_px=width, height_px=height, fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy)
@@ -531,7 +531,7 @@ def _scale_of(length: float, unit: LengthUnit | None) -> tuple[float, list[str]]
     likely = min(apart, key=lambda name: apart[name])
     return METRES[likely], [
         f"T is in {likely}, a baseline of {length * METRES[likely]:.4g} m, as the file names no unit "
-        "(--translation-unit)"
+        "(`translation_unit`)"
     ]
 
 

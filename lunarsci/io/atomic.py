@@ -181,8 +181,12 @@ class _StagedFolder:
         """Take the folder's name; files and their targets where that has to be done file by file."""
         held = any(self.folder.iterdir()) if self.folder.exists() else False
         if self.in_one_step and not held:
-            self.path.rename(self.folder)
-            return []
+            try:
+                self.path.rename(self.folder)
+                return []
+            except OSError as error:  # another writer's folder has come to be there
+                if error.errno != errno.ENOTEMPTY or not self._force:
+                    raise
         if self.in_one_step and self._force and self._with_others() and _swap(self.path, self.folder):
             self._with_others(back=True)
             return []

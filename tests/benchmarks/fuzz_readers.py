@@ -33,7 +33,12 @@ SOIL = (
     b"shear_modulus_mm = 17.8\nexternal_friction_angle_deg = 25\nlateral_modulus_mm = 20\n"
 )
 ZONE = '{"type": "Polygon", "coordinates": [[[0, 0], [2, 0], [2, 1], [0, 0]]]}'
+WAY = np.column_stack([np.linspace(0, 5, 6), np.zeros(6)])
 FEATURE = f'{{"type": "Feature", "properties": {{"name": "rock"}}, "geometry": {ZONE}}}'
+SEARCHED = (
+    f'{{"type": "FeatureCollection", "features": [{FEATURE}], "searched": {{"area_m2": 20, "camera_m": [0, 0, 1.5], '
+    '"completeness": [{"diameter_m": 0.1, "range_from_m": 0, "range_to_m": 5, "share": 0.8}]}}'
+)
 START = b"""C:\\data\\
 sample.asc
 -100,25,10
@@ -523,6 +528,14 @@ def rig() -> bytes:
     return rig_text(read_rig("yutu2-navcam")).encode()
 
 
+def stereo_archive() -> bytes:
+    """Two cameras as OpenCV's stereoCalibrate gives them, in NumPy's archive."""
+    written, matrix = io.BytesIO(), np.array([[464.0, 0, 199.5], [0, 464.0, 199.5], [0, 0, 1]])
+    np.savez(written, M1=matrix, D1=np.zeros(5), M2=matrix, D2=np.zeros(5), R=np.eye(3), T=[-0.27, 0, 0],
+             image_size=[400, 400])  # fmt: skip
+    return written.getvalue()
+
+
 def pictures() -> dict[str, bytes]:
     """The same made-up picture (24 x 32) in three formats."""
     from PIL import Image
@@ -572,6 +585,7 @@ def picture_readers() -> dict[str, Reader]:
                               [ROS, KALIBR, METASHAPE, TRANSFORMS]),
         "rig": Reader(of_path("images.rig_files:read_rig"), ["spoilt.toml"],
                       [rig()]),
+        "rig of NumPy": Reader(of_path("images.rig_files:read_rig"), ["spoilt.npz"], [stereo_archive()]),
         "rig of labels": Reader(of_labels, ["left.2BL", "right.2BL"], [label() + BETWEEN + right]),
         "pose": Reader(pose, ["spoilt.toml"], [POSE]),
         "stations": Reader(of_file("images.jobs.merge:read_positions", 2), ["spoilt.csv"], [places]),
@@ -635,6 +649,8 @@ def ground_readers() -> dict[str, Reader]:
         "layer": Reader(layer, ["spoilt.asc"], [found[".asc"]]),
         "keep-outs": Reader(of_file("twin.ground.hazards:read_keep_outs"), ["spoilt.geojson"],
                             [f'{{"type": "FeatureCollection", "features": [{FEATURE}]}}'.encode()]),
+        "search for rocks": Reader(of_file("twin.ground.hazards:missed_rocks", WAY, 0.6, 0.1), ["spoilt.geojson"],
+                                   [SEARCHED.encode()]),
     }  # fmt: skip
 
 
@@ -948,7 +964,7 @@ READ_BY = {
     "dems": "elevation",
     "file": "any table, any settings",
     "files": SPECTRA,
-    "keep_out": "keep-outs",
+    "keep_out": "keep-outs, search for rocks",
     "known": "modes",
     "layer": "layer",
     "left": f"{PICTURES}, picture PDS4, picture VICAR, camera label",
@@ -972,7 +988,7 @@ READ_BY = {
     "prior": "prior",
     "result": "identified soil",
     "results": "results, folder of results, sources",
-    "rig": "rig, rig of labels",
+    "rig": "rig, rig of NumPy, rig of labels",
     "right": f"{PICTURES}, picture PDS4, picture VICAR, camera label",
     "rocks": SPECTRA,
     "roi": "regions",
@@ -1008,7 +1024,13 @@ READ_BY_COMMAND = {
 """The same where a parameter of that name is another file in one command."""
 OF_KIND = {
     **{"spectra": SPECTRA, "vnis": "VNIS products", "mgm": "start of a fit", "camera": READ_BY["sources"]},
-    **{"zones": "keep-outs", "soil map": "soil map", "slips": "record", "soils": "soil samples", "picture": PICTURES},
+    **{
+        "zones": "keep-outs, search for rocks",
+        "soil map": "soil map",
+        "slips": "record",
+        "soils": "soil samples",
+        "picture": PICTURES,
+    },
     **{"result": "results", "config": READ_BY["config"]},
 }
 """The same by the kind of file that a command takes, as `lunarsci.registry.KINDS` says, if that is not in `READ_BY`."""
@@ -1016,7 +1038,7 @@ NO_FILE = {
     *("path", "plot", "plane", "animate", "failed"),  # are written
     *("posterior", "assemblage", "dictionary", "interpolation", "kind", "lateral_modulus", "name", "sizes", "time",
       "title", "gravity", "form", "scheduler"),
-    *("images dem terrain", "spectra simulate soil"),
+    *("images dem terrain", "images dem disparity", "images dem cloud", "images rocks sun", "spectra simulate soil"),
 }  # fmt: skip
 """Parameters with a text that names no file to read, and no metavar to say so; with the command where others of that
 name do."""

@@ -151,7 +151,7 @@ def constant_gone_wrong(value: float, parent: ast.AST, node: ast.expr) -> tuple[
         case ast.BinOp() if value in (1e3, 1e6, 1e9, 1e-3, 1e-6, 1e-9):
             return repr(1.0 / value), "unit"
         case ast.BinOp() if not has_text(parent):
-            return (str(value + 1) if type(value) is int else repr(1.1 * value)), "factor"
+            return (str(value + 1) if type(value) is int else repr(1.1 * value or 1.0)), "factor"
         case ast.Call(func=function) if re.search("quantile|percentile|ppf|interval", name_of(function)):
             return repr(0.9 * value), "quantile"
     return None

@@ -129,7 +129,7 @@ def test_files_of_opencv_are_a_rig_in_metres(tmp_path: Path, end: str) -> None:
         rig = the_rig(cameras(given))
         check(rig)
         assert "T is in mm" in rig.read_as[0]
-        assert "--translation-unit" in rig.read_as[0]
+        assert "`translation_unit`" in rig.read_as[0]
     assert the_rig(cameras([whole], translation_unit="cm")).baseline_m == pytest.approx(1.5, rel=1e-3)
     with pytest.raises(DataError, match="nothing tells how the two cameras stand"):
         cameras([inner])
@@ -355,7 +355,7 @@ def test_what_opencv_writes_of_boards_in_mm_is_a_rig_without_the_size_of_its_pic
     writer.release()
     check(the_rig(cameras([str(tmp_path / "whole.yml")], picture_size="800x600")))
     check(read_rig(str(tmp_path / "whole.yml"), picture_px=size))
-    with pytest.raises(DataError, match="--picture-size"):
+    with pytest.raises(DataError, match="`picture_size`"):
         cameras([str(tmp_path / "whole.yml")])
     with pytest.raises(RequestError, match="such as 1280x960"):
         cameras([], picture_size="800")

@@ -195,12 +195,25 @@ def missed_rocks(source: InputFile, places_m: FloatArray, width_m: float, stops_
 
     Rocks as high as `stops_m` stop a wheel. Their number on a square metre is that of those found, over the share that
     is found, and half a one (Jeffreys); those missed on the way, as wide as `width_m`, follow Poisson's law. Beyond the
-    ranges that were searched nothing was found.
+    ranges that were searched nothing was found. Raises DataError for a record that is not as it was written.
     """
     document = read_json(source, "a GeoJSON file of ground to keep out of", dict)
     search = document.get("searched")
     if not isinstance(search, Mapping) or not search.get("completeness"):
         return None
+    try:
+        return _missed(document, search, source.name, places_m, width_m, stops_m)
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        raise DataError(
+            f"{source.name}: `searched` is not as `images rocks` writes it ({error}); make it anew, or leave it out"
+        ) from error
+
+
+def _missed(
+    document: Mapping[str, Any], search: Mapping[str, Any], name: str, places_m: FloatArray, width_m: float,
+    stops_m: float,
+) -> str:  # fmt: skip
+    """`missed_rocks` of a record of a search."""
     diameter = stops_m / FLATNESS
     rows = search["completeness"]
     sizes = [row["diameter_m"] for row in rows]
@@ -218,7 +231,7 @@ def missed_rocks(source: InputFile, places_m: FloatArray, width_m: float, stops_
     chance = 1.0 - math.exp(-density * width_m * float((steps * (1.0 - share)).sum()))
     ends = " to ".join(dict.fromkeys(f"{100 * v:.0f} %" for v in (share.min(initial=1.0), share.max(initial=0.0))))
     return (
-        f"rocks of {100 * diameter:.0f} cm, {100 * stops_m:.0f} cm high, stop a wheel: the search behind {source.name} "
+        f"rocks of {100 * diameter:.0f} cm, {100 * stops_m:.0f} cm high, stop a wheel: the search behind {name} "
         f"finds {ends} of them along the way (0 % beyond {max(high for _, high, _ in shares):g} m of the camera); "
         f"the chance that one was missed there is {100 * chance:.0f} %"
     )
