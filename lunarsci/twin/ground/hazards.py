@@ -195,30 +195,24 @@ def missed_rocks(source: InputFile, places_m: FloatArray, width_m: float, stops_
 
     Rocks as high as `stops_m` stop a wheel. Their number on a square metre is that of those found, over the share that
     is found, and half a one (Jeffreys); those missed on the way, as wide as `width_m`, follow Poisson's law. Beyond the
-    ranges that were searched nothing was found. Raises DataError for a record that is not as it was written.
+    ranges that were searched nothing was found. Raises DataError.
     """
     document = read_json(source, "a GeoJSON file of ground to keep out of", dict)
     search = document.get("searched")
     if not isinstance(search, Mapping) or not search.get("completeness"):
         return None
     try:
-        return _missed(document, search, source.name, places_m, width_m, stops_m)
+        return f"{_missed(document, search, places_m, width_m, stops_m)} ({source.name})"
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
-        raise DataError(
-            f"{source.name}: `searched` is not as `images rocks` writes it ({error}); make it anew, or leave it out"
-        ) from error
+        raise DataError(f"{source.name}: `searched` is not that of `images rocks` ({error}); leave it out") from error
 
 
-def _missed(
-    document: Mapping[str, Any], search: Mapping[str, Any], name: str, places_m: FloatArray, width_m: float,
-    stops_m: float,
-) -> str:  # fmt: skip
+def _missed(document: Any, search: Any, places_m: FloatArray, width_m: float, stops_m: float) -> str:
     """`missed_rocks` of a record of a search."""
-    diameter = stops_m / FLATNESS
-    rows = search["completeness"]
-    sizes = [row["diameter_m"] for row in rows]
-    size = max((d for d in sizes if d <= diameter), default=min(sizes))
-    shares = [(r["range_from_m"], r["range_to_m"], r["share"]) for r in rows if r["diameter_m"] == size]
+    diameter, keys = stops_m / FLATNESS, ("diameter_m", "range_from_m", "range_to_m", "share")
+    rows = [[row[key] for key in keys] for row in search["completeness"]]
+    size = max((row[0] for row in rows if row[0] <= diameter), default=min(rows)[0])
+    shares = [row[1:] for row in rows if row[0] == size]
     camera = np.array(search["camera_m"], dtype=float)
     steps = np.hypot(*np.diff(places_m, axis=0).T)
     away = np.hypot(np.hypot(*(0.5 * (places_m[1:] + places_m[:-1]) - camera[:2]).T), camera[2])
@@ -231,9 +225,9 @@ def _missed(
     chance = 1.0 - math.exp(-density * width_m * float((steps * (1.0 - share)).sum()))
     ends = " to ".join(dict.fromkeys(f"{100 * v:.0f} %" for v in (share.min(initial=1.0), share.max(initial=0.0))))
     return (
-        f"rocks of {100 * diameter:.0f} cm, {100 * stops_m:.0f} cm high, stop a wheel: the search behind {name} "
-        f"finds {ends} of them along the way (0 % beyond {max(high for _, high, _ in shares):g} m of the camera); "
-        f"the chance that one was missed there is {100 * chance:.0f} %"
+        f"rocks of {100 * diameter:.0f} cm, {100 * stops_m:.0f} cm high, stop a wheel: the search finds {ends} of them "
+        f"along the way (0 % beyond {max(row[1] for row in shares):g} m of the camera); the chance that one was "
+        f"missed there is {100 * chance:.0f} %"
     )
 
 
