@@ -179,6 +179,8 @@ class Doubt:
         return ": ".join(filter(None, (self.verdict, "; ".join(self.reasons)))) if self else ""
 
 
+OF_RESULTS = {"options", "rocks", "results"}
+"""Parameters of jobs that take results themselves, not the files of them."""
 FIRST = 4
 """Values of the first row that a result shows of itself."""
 
@@ -350,7 +352,7 @@ def job(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
     def run(*args: Given.args, **options: Given.kwargs) -> Returned:
         bound = signature.bind(*_together(args, kind, signature), **options)
         arguments = bound.arguments
-        arguments |= {name: in_a_file(name, arguments[name]) for name in {*arguments} - {"options", "rocks"}}
+        arguments |= {name: in_a_file(name, arguments[name]) for name in {*arguments} - OF_RESULTS}
         replaced = {name: in_a_file(name, value) for name, value in arguments.pop("options", {}).items()}
         request = bound.arguments["request"] = request_of(kind, bound.arguments.get("request"), replaced)
         with _heard(sys._getframe(1)) as heard:

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -150,7 +151,7 @@ def emit(report: Report, output: Output, provenance: Provenance) -> int:
     if output.folder or not output.path or report.written:
         _print(text)
     else:
-        for remark in () if output.quiet else _verdicts(report, record):
+        for remark in () if output.quiet else chain(*_verdicts(report, record)):
             say(remark)
     for failure in report.failures:
         say(f"error: {failure}")
@@ -196,10 +197,10 @@ def _print(text: Iterable[bytes]) -> None:
         raise OutputError(f"stdout: {error.strerror}; the result was not printed") from error
 
 
-def _verdicts(report: Report, record: Mapping[str, Any]) -> list[str]:
-    """What a result that was written to a file says in a sentence each, of few spectra; else its answer on a page.
+def _verdicts(report: Report, record: Mapping[str, Any]) -> tuple[list[str], list[str]]:
+    """What a result says in a sentence each, of few spectra; else its answer on a page.
 
-    Then, where nothing else is said of it, whether its command trusts it.
+    And, where nothing else is said of it, whether its command trusts it.
     """
     from lunarsci.pages.answers import answer, answered
     from lunarsci.pages.documents import Document
@@ -207,16 +208,16 @@ def _verdicts(report: Report, record: Mapping[str, Any]) -> list[str]:
     made = Document("", report.result.schema, report.content, record)
     many = max(len(report.content.get(name, ())) for name in ("spectra", "rocks"))
     if answered(made.kind) is None or many > MOST_ANSWERED:
-        return []
+        return [], []
     verdicts: list[str] = []
     if 0 < len(report.content.get("spectra", ())) <= MOST_VERDICTS:
         verdicts = [note for table in report.shown if table.title == SAYS for note in table.notes]
     try:
         summary = answer(made)
     except DataError:  # the result is written: a sentence that cannot be made is no failure
-        return verdicts
+        return verdicts, []
     trusted = [] if report.untrusted or report.failures else [summary.trust]
-    return [*(verdicts or [summary.text]), *trusted]
+    return verdicts or [summary.text], trusted
 
 
 def _counted(report: Report, failed: str | Path | None) -> str:
@@ -258,7 +259,7 @@ def _as_text(report: Report, output: Output, record: Mapping[str, Any]) -> Itera
         return [FORMATS[output.wanted](tables).encode()]
     to_file = output.path is not None and not output.folder and not report.written
     if on_terminal() and not (to_file or output.verbose or output.chosen):
-        return [first_screen(_verdicts(report, record)[:1], tables, terminal_width()).encode()]
+        return [first_screen(_verdicts(report, record)[0], tables, terminal_width()).encode()]
     return [render(tables, 0 if to_file else terminal_width(), keep=bool(output.chosen)).encode()]
 
 

@@ -337,12 +337,17 @@ def first_screen(answers: Sequence[str], tables: Sequence[TextTable], width: int
     if len(answer) + len(whole) <= SCREEN:
         return "\n".join([*answer, *whole, ""])
     main = next((table for table in tables if table.headers), TextTable([], []))
-    fewer = [(len(main.shown), notes) for notes in range(NOTES, -1, -1)]
-    for rows, notes in [*fewer, *((rows, 0) for rows in range(len(main.shown) - 1, -1, -1))]:
+
+    def shown(rows: int, notes: int) -> list[str]:
         some = dataclasses.replace(main, rows=main.rows[:rows], notes=main.notes[:notes], total=0)
-        lines = render([some], width).splitlines()
-        if len(answer) + len(lines) < SCREEN:
-            break
+        return render([some], width).splitlines()
+
+    rows = len(main.shown)
+    fewer = (shown(rows, notes) for notes in range(NOTES, 0, -1))
+    lines = next((some for some in fewer if len(answer) + len(some) < SCREEN), None) or shown(rows, 0)
+    while rows and (over := len(answer) + len(lines) + 1 - SCREEN) > 0:
+        rows = max(rows - over, 0)
+        lines = shown(rows, 0)
     cut = f"{main.count - rows} more rows, " if rows < main.count else ""
     last = f"{cut}{len(whole) - len(lines)} more lines: --verbose; every number: --json or --csv"
     return "\n".join([*answer, *lines, last, ""])

@@ -32,7 +32,7 @@ LOOKED_PX = 512 * 512
 NEWTON_STEPS = 3
 """Of the size of a gross error: observations are nearly linear in it."""
 FEWEST = 50
-"""CommonFeatures below which pictures say nothing of a rig; assumed."""
+"""Features in common below which pictures say nothing of a rig; assumed."""
 COMMON = 1.5
 """Errors of the terms of rows over those by their scatter: measured on 14 rendered pairs with their true
 rigs (`tests/benchmarks/wrong_rigs.py`)."""
@@ -40,8 +40,6 @@ ROW_PX = 3.0
 """Rows that scatter by less are those of one scene; assumed. [px]"""
 NEAREST = 0.25
 """Share of the ties that are the near ground; assumed."""
-
-
 OTHER = "no single error explains it: the rig is another one, or the rover moved between the pictures"
 
 

@@ -45,6 +45,16 @@ def test_the_rest_is_behind_verbose(run, terminal: None) -> None:
     assert "What this says" in whole
 
 
+def test_each_of_a_few_spectra_has_its_sentence(run, terminal: None) -> None:
+    lines = run("spectra", "bands", "rock.ecsv", *sorted(map(str, Path().glob("*SD_SCI*.2B"))), "-q").out.splitlines()
+    assert sum(line.startswith("SYNTHETIC-CE4-0001: ") for line in lines) == 2 and len(lines) <= 24
+
+
+def test_a_long_table_is_cut_and_says_so(run, terminal: None) -> None:
+    lines = run("regolith", "forces", "--sinkage", "0.01", "--slip", "0:0.5:90", "-q").out.splitlines()
+    assert len(lines) == 24 and "more rows" in lines[-1]
+
+
 def test_a_pipe_gets_everything(run, terminal: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lunarsci.cli.shared.emit.on_terminal", lambda: False)
     assert "mineral shares" in run("spectra", "fit", "rock.ecsv", "-q").out

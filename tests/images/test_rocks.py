@@ -3,6 +3,7 @@
 import json
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,10 +12,12 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from lunarsci.errors import DataError, RequestError
 from lunarsci.images.camera import Pose
 from lunarsci.images.jobs.requests import RocksRequest
+from lunarsci.images.jobs.rocks import RockList
 from lunarsci.images.matching import Rectified, StereoMatches
 from lunarsci.images.rocks import RockSurvey, _false_rate, _logistic, _parallax, _scene, find_rocks
 from lunarsci.images.stones import put_stone, spots
 from lunarsci.io.inputs import read_input
+from lunarsci.result import Doubt
 from lunarsci.twin.ground.hazards import missed_rocks
 
 FOCAL_PX, BASE_M, SIDE = 600.0, 0.27, 512
@@ -105,6 +108,13 @@ def test_logistic_regression_finds_the_law_it_was_drawn_from() -> None:
     true = rng.random(20000) < 1 / (1 + np.exp(-(0.5 + x @ [1.0, -2.0])))
     values, covariance = _logistic(x, true.astype(float), np.ones(20000), 1e-6)
     assert (np.abs(values - [0.5, 1.0, -2.0]) < 4 * np.sqrt(np.diag(covariance))).all()
+
+
+def test_rocks_of_a_rig_in_doubt_are_in_doubt() -> None:
+    ground = SimpleNamespace(doubt=Doubt.of("the pictures contradict rig, mast or pose"))
+    assert RockList(ground=ground, survey=None, request=RocksRequest(rig="rig.toml")).untrusted.startswith(
+        "the pictures"
+    )
 
 
 def test_too_little_ground_is_refused() -> None:

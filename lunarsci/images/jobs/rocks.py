@@ -12,7 +12,7 @@ from lunarsci.images.rocks import RockSurvey, find_rocks
 from lunarsci.io.documents import geojson_feature
 from lunarsci.io.inputs import Source
 from lunarsci.options import request_of
-from lunarsci.result import MadeFrom, Progress, Result, job
+from lunarsci.result import Doubt, MadeFrom, Progress, Result, job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,6 +46,10 @@ class RockList(Result):
     @property
     def made_from(self) -> MadeFrom:
         return MadeFrom(inputs=self.ground.inputs, sources=SOURCES, seed=self.request.seed)
+
+    @property
+    def doubt(self) -> Doubt:
+        return self.ground.doubt
 
     def to_dict(self) -> dict[str, Any]:
         survey = self.survey

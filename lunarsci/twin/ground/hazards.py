@@ -194,8 +194,8 @@ def missed_rocks(source: InputFile, places_m: FloatArray, width_m: float, stops_
     """What a search for rocks may have missed along a way (n, 2) [m]; None for a file that says nothing of a search.
 
     Rocks as high as `stops_m` stop a wheel. Their number on a square metre is that of those found, over the share that
-    is found, and half a one (Jeffreys); those missed on the way, as wide as `width_m`, follow Poisson's law. Beyond the
-    ranges that were searched nothing was found. Raises DataError.
+    is found (at least 0.05: assumed), and half a one (Jeffreys); those missed on the way, as wide as `width_m`, follow
+    Poisson's law. Beyond the ranges that were searched nothing was found. Raises DataError.
     """
     document = read_json(source, "a GeoJSON file of ground to keep out of", dict)
     search = document.get("searched")
