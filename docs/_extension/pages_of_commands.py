@@ -90,6 +90,19 @@ def command_text(path: str) -> str:
     return "\n\n".join(parts)
 
 
+def commands_of_page(page: str) -> list[str]:
+    """The command that a page of the reference is named after, or those of its group."""
+    named = {path.replace(" ", "-"): path for path, _ in every_command()}
+    return [named[page]] if page in named else [path for name, path in named.items() if name.startswith(page + "-")]
+
+
+def options_text(page: str) -> str:
+    """The sections that end a page of the reference: each of its commands with its options."""
+    paths = commands_of_page(page)
+    heads = [f"Options of `{path.rpartition(' ')[2]}`" if len(paths) > 1 else "Options" for path in paths]
+    return "".join(f"\n## {head}\n\n```{{command}} {path}\n```\n" for head, path in zip(heads, paths, strict=True))
+
+
 def commands_text() -> str:
     """Every command with the first sentence of its help."""
     rows = [f"| `lunarsci {path}` | {command.help.splitlines()[0]} |" for path, command in every_command()]
