@@ -117,8 +117,7 @@ def test_every_command_has_its_place_in_the_reference(known: list[str], monkeypa
     monkeypatch.syspath_prepend(str(ROOT / "docs/_extension"))
     import pages_of_commands
 
-    pages = [page.stem for page in COMMAND_PAGES.glob("*.md") if page.stem != "index"]
-    placed = {page: pages_of_commands.commands_of_page(page) for page in pages}
+    placed = {page.stem: pages_of_commands.commands_of_page(page.stem) for page in COMMAND_PAGES.glob("*.md")}
     assert [page for page, commands in placed.items() if not commands] == []
     assert sorted(command for commands in placed.values() for command in commands) == sorted(known)
     for name in ("pages_of_commands", "pages_of_code"):

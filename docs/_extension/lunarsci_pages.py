@@ -74,9 +74,9 @@ def docstring(app: Sphinx, what: str, name: str, thing: Any, options: Any, lines
 
 
 def add_options(app: Sphinx, name: str, source: list[str]) -> None:
-    """The options of a command, at the end of its page."""
+    """The options of commands, at the end of their page."""
     folder, _, page = name.rpartition("/")
-    if folder == "reference/commands" and page != "index":
+    if folder == "reference/commands":
         source[0] += options_text(page)
 
 
