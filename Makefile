@@ -104,7 +104,7 @@ release: ## wheel and source distribution in dist, looked at, and the wheel trie
 	rm -rf dist build *.egg-info
 	$(PYTHON) -m venv --clear $(RELEASE)
 	$(RELEASE)/bin/python -m pip install --quiet --disable-pip-version-check build twine check-wheel-contents
-	$(RELEASE)/bin/python -m build >$(RELEASE)/build.log
+	$(RELEASE)/bin/python -m build >$(RELEASE)/build.log 2>&1 || { cat $(RELEASE)/build.log; exit 1; }
 	$(RELEASE)/bin/twine check --strict dist/*
 	$(RELEASE)/bin/check-wheel-contents dist/*.whl
 	tar tzf dist/*.tar.gz | sed 's|^[^/]*/||' | sort >$(RELEASE)/packed

@@ -1,6 +1,6 @@
 """What version 1.0 promised to scripts (`docs/reference/stability.md`) is still there: names are added, none goes.
 
-`python tests/test_stability.py --write` adds new names to `tests/frozen.json`; a major version takes others out by hand.
+`python tests/test_stability.py --write` adds new names to `tests/frozen.json`; others go by hand, in a major version.
 Columns of CSV are compared where commands run: `tests/benchmarks/former.py`.
 """
 
@@ -11,7 +11,7 @@ import json
 import pickle
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,11 @@ from lunarsci.twin.telemetry import reading
 FILES = ("lunarsci.twin.rover.Rover", "lunarsci.twin.rover.Motors", "lunarsci.twin.rover.PowerSupply",
          "lunarsci.twin.rover.Body", "lunarsci.regolith.wheel.Wheel")  # fmt: skip
 """Classes whose fields are keys of rover files; those of other files stand on the page of files."""
+
+
+def ends(names: Iterable[str]) -> dict[str, Any]:
+    """Names with nothing below them."""
+    return {name: {} for name in names}
 
 
 def typed(command: Any, words: str = "") -> Iterator[tuple[str, Any]]:
@@ -51,7 +56,7 @@ def commands() -> dict[str, Any]:
     """Command, option, choice."""
     return {
         words: {
-            option: dict.fromkeys(choices(one), {})
+            option: ends(choices(one))
             for one in command.params
             for option in ([*one.opts, *one.secondary_opts] if one.param_type_name == "option" else ())
         }
@@ -62,7 +67,7 @@ def commands() -> dict[str, Any]:
 def fields(path: str) -> dict[str, Any]:
     """Fields of a dataclass."""
     module, _, name = path.rpartition(".")
-    return {one.name: {} for one in dataclasses.fields(getattr(importlib.import_module(module), name))}
+    return ends(one.name for one in dataclasses.fields(getattr(importlib.import_module(module), name)))
 
 
 def parameters(name: str) -> dict[str, Any]:
@@ -74,19 +79,15 @@ def parameters(name: str) -> dict[str, Any]:
              for k, one in enumerate(taken)]  # fmt: skip
     request = re.search(r"\w+Request", str(given["request"].annotation)) if "request" in given else None
     options = fields(f"{function.__module__}.{request[0]}") if request else {}
-    return dict.fromkeys(names, {}) | options
+    return ends(names) | options
 
 
 def python() -> dict[str, Any]:
     """Function, parameter; names of results and errors."""
     functions = {name: parameters(name) for name in lunarsci.__all__ if name != "__version__"}
-    public = {name: {} for name in dir(Result) if re.match("to_|(rows|plot|doubt|untrusted|failures)$", name)}
-    kinds = {
-        name: {}
-        for name, kind in vars(errors).items()
-        if inspect.isclass(kind) and issubclass(kind, Exception | Warning)
-    }
-    return functions | {"Result": public, "errors": kinds}
+    public = ends(name for name in dir(Result) if re.match("to_|(rows|plot|doubt|untrusted|failures)$", name))
+    kinds = (one for one in vars(errors).values() if inspect.isclass(one) and issubclass(one, Exception | Warning))
+    return functions | {"Result": public, "errors": ends(one.__name__ for one in kinds)}
 
 
 def files() -> dict[str, Any]:
@@ -94,7 +95,7 @@ def files() -> dict[str, Any]:
     page = (ROOT / "docs/reference/files.md").read_text("utf-8")
     named = [*re.findall(r"\{fields\} ([\w.]+)", page), *FILES]
     columns = (*reading.POSITION_COLUMNS, *reading.POSE_COLUMNS, *reading.WHEEL_COLUMNS.values())
-    return {path.rpartition(".")[2]: fields(path) for path in named} | {"telemetry": dict.fromkeys(columns, {})}
+    return {path.rpartition(".")[2]: fields(path) for path in named} | {"telemetry": ends(columns)}
 
 
 def keys_of(value: Any) -> dict[str, Any]:
@@ -130,8 +131,10 @@ def together(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
 
 def gone(former: dict[str, Any], now: dict[str, Any], above: str = "") -> list[str]:
     """Names of one tree that another does not have."""
-    return [text for name, below in former.items()
-            for text in (gone(below, now[name], f"{above}{name} > ") if name in now else [f"{above}{name}"])]  # fmt: skip
+    found = []
+    for name, below in former.items():
+        found += gone(below, now[name], f"{above}{name} > ") if name in now else [f"{above}{name}"]
+    return found
 
 
 def folded(tree: dict[str, Any]) -> dict[str, Any]:
@@ -161,6 +164,6 @@ if __name__ == "__main__" and "--write" in sys.argv:
     now = {part: make() for part, make in PARTS.items()}
     for run in sys.argv[2:]:  # folders of `former.run_once`, for columns
         columns = pickle.loads(Path(run, "now.pickle").read_bytes())[2]
-        now = together(now, {"columns": {name: dict.fromkeys(names, {}) for name, names in columns.items()}})
+        now = together(now, {"columns": {name: ends(names) for name, names in columns.items()}})
     record = {part: folded(together(unfolded(record.get(part, {})), now.get(part, {}))) for part in (*PARTS, "columns")}
     FROZEN.write_text(json.dumps(record, indent=0, sort_keys=True, ensure_ascii=False) + "\n", "utf-8")

@@ -340,7 +340,7 @@ FROZEN = ROOT / "tests/frozen.json"
 
 
 def unfolded(tree: dict[str, Any]) -> dict[str, Any]:
-    """A tree of names in which names with the same below them stand together, with `|` between, as one of single names."""
+    """A tree in which names with the same below them stand together, with `|` between, with each name by itself."""
     return {name: unfolded(below) for names, below in tree.items() for name in names.split("|")}
 
 
