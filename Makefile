@@ -16,7 +16,7 @@ define install
 	@touch $@
 endef
 
-.PHONY: help demo test quick studies mutants newest check docs fuzz man clean FORCE
+.PHONY: help demo test quick studies mutants oldest newest release check docs fuzz man clean FORCE
 
 help: ## this list
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | expand -t 8
@@ -78,12 +78,43 @@ MUTANTS ?= --count 150
 mutants: $(VENV)/.tested ## faults planted at random in the science, and which of them no test sees; some hours
 	$(BIN)/python tests/benchmarks/mutants.py $(MUTANTS)
 
+# With other packages than the latest that fit together, in an environment of its own: what is asked of uv, and what follows.
+define try
+	$(PYTHON) -m venv --clear .venv-$@
+	.venv-$@/bin/python -m pip install --quiet --disable-pip-version-check uv
+	UV_SYSTEM_CERTS=1 .venv-$@/bin/uv pip install --quiet --only-binary :all: --no-binary lunarsci --python .venv-$@/bin/python $(1) --editable '.[quick,report]'
+	$(2)
+	.venv-$@/bin/uv pip list --quiet --python .venv-$@/bin/python
+	NUMBA_CACHE_DIR=$(CURDIR)/.venv-$@/numba .venv-$@/bin/lunarsci doctor
+	cd .venv-$@ && NUMBA_CACHE_DIR=$(CURDIR)/.venv-$@/numba bin/lunarsci demo --force
+	NUMBA_DISABLE_JIT=1 .venv-$@/bin/python -m pytest -m quick $(PYTESTFLAGS)
+endef
+
+oldest: ## the whole chain and quick tests with the oldest packages that pyproject.toml allows
+	$(call try,--resolution lowest-direct)
+
 # Compiled code stands on numba's insides, which may change with any release.
-newest: ## compiled code under the newest numba, whatever pyproject.toml allows, in .venv-newest
-	$(PYTHON) -m venv .venv-newest
-	.venv-newest/bin/python -m pip install --quiet --editable '.[test]'
-	.venv-newest/bin/python -m pip install --quiet --upgrade --no-deps numba llvmlite
-	NUMBA_CACHE_DIR=$(CURDIR)/.venv-newest/numba .venv-newest/bin/python -m pytest tests/compiled tests/regolith
+newest: ## the same with the newest, whatever numba pyproject.toml allows, and tests of compiled code
+	$(call try,--upgrade,.venv-$@/bin/python -m pip install --quiet --upgrade --no-deps numba llvmlite)
+	NUMBA_CACHE_DIR=$(CURDIR)/.venv-$@/numba .venv-$@/bin/python -m pytest tests/compiled tests/regolith $(PYTESTFLAGS)
+
+# The wheel runs in an environment and a folder that have nothing else.
+RELEASE := .venv-release
+release: ## wheel and source distribution in dist, looked at, and the wheel tried in an empty folder
+	rm -rf dist build *.egg-info
+	$(PYTHON) -m venv --clear $(RELEASE)
+	$(RELEASE)/bin/python -m pip install --quiet --disable-pip-version-check build twine check-wheel-contents
+	$(RELEASE)/bin/python -m build >$(RELEASE)/build.log 2>&1 || { cat $(RELEASE)/build.log; exit 1; }
+	$(RELEASE)/bin/twine check --strict dist/*
+	$(RELEASE)/bin/check-wheel-contents dist/*.whl
+	tar tzf dist/*.tar.gz | sed 's|^[^/]*/||' | sort >$(RELEASE)/packed
+	if git ls-files | sort | comm -23 - $(RELEASE)/packed | grep .; then echo "not in the source distribution" >&2; exit 1; fi
+	$(PYTHON) -m venv --clear $(RELEASE)
+	$(RELEASE)/bin/python -m pip install --quiet --disable-pip-version-check dist/*.whl
+	mkdir $(RELEASE)/empty && cd $(RELEASE)/empty && for line in --version doctor \
+		"spectra simulate --rock ol=0.1,opx=0.4,cpx=0.2,plg=0.3 -o scene" "spectra calibrate scene -o rock.ecsv" "spectra bands rock.ecsv" \
+		"regolith forces --load 36.5" "template plan -o plan.toml" "twin predict plan.toml --members 4 --soil lunar-typical"; do \
+		echo "lunarsci $$line"; NUMBA_CACHE_DIR=$$PWD/numba ../bin/lunarsci $$line || [ $$? = 3 ] || exit 1; done
 
 fuzz: $(VENV)/.tested ## 100,000 spoilt files for every reader; some hours
 	$(BIN)/python tests/benchmarks/fuzz.py
@@ -92,5 +123,5 @@ man: $(VENV)/.installed ## manual pages, into share/man/man1
 	$(BIN)/python -m lunarsci.cli.manual share/man/man1
 
 clean: ## removes what make has made
-	rm -rf $(VENV) .venv-newest build dist *.egg-info lunarsci-demo share docs/_build docs/notebooks docs/jupyter_execute .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) .venv-oldest .venv-newest $(RELEASE) build dist *.egg-info lunarsci-demo share docs/_build docs/notebooks docs/jupyter_execute .pytest_cache .mypy_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,5 +1,6 @@
 """`lunarsci template`: files to begin with."""
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -32,4 +33,5 @@ def template(kind: Kind) -> Report:
     from lunarsci.guide.template import template
 
     made = template(kind)
-    return Report(made, [TextTable([], [], title=made.name)], raw=lambda: made.text)
+    own = {Path(made.name).suffix: lambda _: made.text.encode()}
+    return Report(made, [TextTable([], [], title=made.name)], raw=lambda: made.text, formats=own)

@@ -32,8 +32,6 @@ _ELSEWHERE = {
 
 __all__ = ["__version__", *_ELSEWHERE, *(job for jobs in JOBS.values() for job in jobs)]
 
-__version__ = "0.1.0"
-
 
 def _renderer() -> Any:
     """What makes the text and the HTML of a result: it stands above the library, and is imported to show one."""
@@ -41,6 +39,8 @@ def _renderer() -> Any:
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return import_module("lunarsci.provenance").installed_version("lunarsci")
     part = next((part for part in COMMANDS if name in functions_of(part)), "")
     if name not in _ELSEWHERE and not part:
         raise AttributeError(f"module 'lunarsci' has no attribute '{name}'")

@@ -8,11 +8,13 @@ import hashlib
 import math
 import platform
 import re
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import Any
 
 import orjson
@@ -22,6 +24,8 @@ _MARK = r"\\u0000"
 """What JSON makes of the sign that stands before the number of some records; no text that is read has it."""
 LONGEST_INTEGER = 63
 """Bits of a whole number that every reader of JSON takes; a longer one, such as a seed, is text."""
+_PROJECT = Path(__file__).parents[1] / "pyproject.toml"
+"""What says the version of lunarsci; it is there in a checkout, beside which another version may be installed."""
 _PACKAGES = ("numpy", "scipy", "lmfit", "astropy", "pandas", "numba", "matplotlib")
 
 
@@ -80,6 +84,10 @@ class Provenance:
 def installed_version(package: str) -> str | None:
     """Version of an installed package, None when it is not installed."""
     try:
+        if package == "lunarsci" and _PROJECT.is_file():
+            project = tomllib.loads(_PROJECT.read_text("utf-8")).get("project", {})
+            if project.get("name") == package:
+                return str(project["version"])
         return version(package)
     except PackageNotFoundError:
         return None

@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 
+import lunarsci
+from lunarsci.provenance import installed_version
+
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 RECIPE = (ROOT / "conda/meta.yaml").read_text("utf-8")
@@ -21,6 +24,10 @@ def listed(section: str) -> list[str]:
     """Entries of a list of the recipe."""
     found = re.search(rf"^  {section}:\n((?:    - .+\n)+)", RECIPE, re.MULTILINE)
     return re.findall(r"    - (.+)", found[1])
+
+
+def test_the_version_is_that_of_the_project() -> None:
+    assert lunarsci.__version__ == installed_version("lunarsci") == PROJECT["version"]
 
 
 def test_the_recipe_needs_what_the_project_needs() -> None:

@@ -167,9 +167,11 @@ def signed(x: Any, sign: Any) -> Any:
 def two_to(power: Any) -> Any:
     """2^k of whole numbers k between -1022 and 1023, of singles -126 and 127."""
     layout = _layout(power)
+    if not isinstance(power, TracedNumber):
+        power = np.asarray(power, np.float64)
     low = power + (layout.rounding + layout.bias)
     if not isinstance(power, TracedNumber):
-        return (np.asarray(low).view(np.int64) << layout.mantissa_bits).view(np.float64)[()]
+        return (low.view(np.int64) << layout.mantissa_bits).view(np.float64)[()]
     return low.from_bits(power.builder.shl(low.bits, power.whole(layout.mantissa_bits)))
 
 

@@ -230,6 +230,8 @@ def with_contents(result: dict[str, Any]) -> dict[str, Any]:
 
 TABLES: dict[str, list[TextTable]] = {}
 """Tables for people of every command, kept as it runs."""
+COLUMNS: dict[str, list[str]] = {}
+"""Columns of its CSV."""
 
 
 @contextlib.contextmanager
@@ -238,6 +240,7 @@ def kept_tables(name: str) -> Iterator[None]:
 
     def keep(report: Report, *more: Any) -> int:
         TABLES[name] = list(report.shown)
+        COLUMNS[name] = sorted({column for row in report.result.rows() for column in row})
         return emit(report, *more)
 
     with pytest.MonkeyPatch.context() as patch:
@@ -285,7 +288,7 @@ def answers(folder: Path, commands: dict[str, str]) -> dict[str, dict[str, Any]]
 def run_once(shared: Path, half: str) -> Path:
     """The folder in which one of `HALVES` has run: once for all workers of a run, by the first that asks.
 
-    `answers` has the documents as they were printed, `now.pickle` the short answers and the tables for people.
+    `answers` has the documents as they were printed, `now.pickle` the short answers, tables for people and columns.
     """
     folder = shared / f"former-{half}"
     with (shared / f"{folder.name}.lock").open("w") as lock:
@@ -293,7 +296,7 @@ def run_once(shared: Path, half: str) -> Path:
         if not (folder / "now.pickle").exists():
             folder.mkdir()
             made = answers(folder, HALVES[half])
-            (folder / "now.pickle").write_bytes(pickle.dumps((made, TABLES)))
+            (folder / "now.pickle").write_bytes(pickle.dumps((made, TABLES, COLUMNS)))
     return folder
 
 
@@ -332,6 +335,19 @@ def former_answers() -> dict[str, dict[str, Any]]:
     return found
 
 
+FROZEN = ROOT / "tests/frozen.json"
+"""What scripts rely on since version 1.0: `tests/test_stability.py`."""
+
+
+def unfolded(tree: dict[str, Any]) -> dict[str, Any]:
+    """A tree in which names with the same below them stand together, with `|` between, with each name by itself."""
+    return {name: unfolded(below) for names, below in tree.items() for name in names.split("|")}
+
+
+def frozen(part: str) -> dict[str, Any]:
+    return unfolded(json.loads(FROZEN.read_text("utf-8"))[part])
+
+
 SAID_OTHERWISE = ("what calibration errors add to the ratios is not determined at 1 µm",)
 """What the status of a fit says of its bands already: what calibration errors do to them is not determined."""
 VERDICT = re.compile(
@@ -354,7 +370,8 @@ class Answers:
     @pytest.fixture(scope="class")
     @classmethod
     def now(cls, folder: Path) -> dict[str, dict[str, Any]]:
-        made, tables = pickle.loads((folder / "now.pickle").read_bytes())
+        made, tables, columns = pickle.loads((folder / "now.pickle").read_bytes())
+        COLUMNS.update(columns)
         TABLES.update(tables)
         return dict(made)
 
@@ -367,6 +384,10 @@ class Answers:
 
     def test_an_answer_is_the_former_one(self, name: str, now: dict[str, dict[str, Any]]) -> None:
         assert differences(former_answers()[name], now[name], name) == []
+
+    def test_columns_of_its_csv_are_still_there(self, name: str, now: dict[str, dict[str, Any]]) -> None:
+        """Those of the first release: `tests/test_stability.py`."""
+        assert {*frozen("columns").get(name, ())} <= {*COLUMNS[name]}
 
     def test_a_page_says_what_the_command_says(self, name: str, now: dict[str, Any], folder: Path) -> None:
         """Every verdict of the tables for people, and of stderr, stands on the page; so does no better one."""

@@ -110,6 +110,13 @@ def python_example_runs(name: str) -> bool:
         return bool(example.examples) and doctest.DocTestRunner().run(example).failed == 0
 
 
+def test_a_template_is_the_same_in_a_file(run, tmp_path: Path) -> None:
+    """Whose ending is its own: no table of its lines."""
+    path = tmp_path / "telemetry.csv"
+    assert run("template", "telemetry", "-o", str(path)).code == 0
+    assert path.read_text("utf-8") == run("template", "telemetry").out
+
+
 @pytest.mark.parametrize("words", [[], ["spectra"], ["spectra", "bands"]])
 def test_h_is_help(run, words: list[str]) -> None:
     assert run(*words, "-h").out == run(*words, "--help").out != ""

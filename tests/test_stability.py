@@ -1,0 +1,169 @@
+"""What version 1.0 promised to scripts (`docs/reference/stability.md`) is still there: names are added, none goes.
+
+`python tests/test_stability.py --write` adds new names to `tests/frozen.json`; others go by hand, in a major version.
+Columns of CSV are compared where commands run: `tests/benchmarks/former.py`.
+"""
+
+import dataclasses
+import importlib
+import inspect
+import json
+import pickle
+import re
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+from former import FROZEN, ROOT, former_answers, frozen, unfolded
+from lunarsci.cli import command_line
+
+import lunarsci
+from lunarsci import errors
+from lunarsci.options import choices_of
+from lunarsci.result import Result
+from lunarsci.twin.telemetry import reading
+
+FILES = ("lunarsci.twin.rover.Rover", "lunarsci.twin.rover.Motors", "lunarsci.twin.rover.PowerSupply",
+         "lunarsci.twin.rover.Body", "lunarsci.regolith.wheel.Wheel")  # fmt: skip
+"""Classes whose fields are keys of rover files; those of other files stand on the page of files."""
+
+
+def ends(names: Iterable[str]) -> dict[str, Any]:
+    """Names with nothing below them."""
+    return {name: {} for name in names}
+
+
+def typed(command: Any, words: str = "") -> Iterator[tuple[str, Any]]:
+    """Words and command of each command, groups left out."""
+    inner = getattr(command, "commands", None)
+    if inner is None:
+        yield words, command
+    for name, one in (inner or {}).items():
+        yield from typed(one, f"{words} {name}".strip())
+
+
+def choices(parameter: Any) -> tuple[str, ...]:
+    """Values that an option is limited to, as any typer has them."""
+    hint = getattr(getattr(parameter, "type_descriptor", None), "annotation", None)
+    given = getattr(getattr(parameter, "type", None), "choices", None) or choices_of(hint)
+    return tuple(one for one in given if isinstance(one, str))
+
+
+def commands() -> dict[str, Any]:
+    """Command, option, choice."""
+    return {
+        words: {
+            option: ends(choices(one))
+            for one in command.params
+            for option in ([*one.opts, *one.secondary_opts] if one.param_type_name == "option" else ())
+        }
+        for words, command in typed(typer.main.get_command(command_line()))
+    }
+
+
+def fields(path: str) -> dict[str, Any]:
+    """Fields of a dataclass."""
+    module, _, name = path.rpartition(".")
+    return ends(one.name for one in dataclasses.fields(getattr(importlib.import_module(module), name)))
+
+
+def parameters(name: str) -> dict[str, Any]:
+    """Inputs of a function with their places, and options, which are those of its request."""
+    function = getattr(lunarsci, name)
+    given = inspect.signature(function).parameters
+    taken = [one for one in given if one not in ("request", "options")]
+    names = [f"{k} {one}" if given[one].kind is inspect.Parameter.POSITIONAL_OR_KEYWORD else one
+             for k, one in enumerate(taken)]  # fmt: skip
+    request = re.search(r"\w+Request", str(given["request"].annotation)) if "request" in given else None
+    options = fields(f"{function.__module__}.{request[0]}") if request else {}
+    return ends(names) | options
+
+
+def python() -> dict[str, Any]:
+    """Function, parameter; names of results and errors."""
+    functions = {name: parameters(name) for name in lunarsci.__all__ if name != "__version__"}
+    public = ends(name for name in dir(Result) if re.match("to_|(rows|plot|doubt|untrusted|failures)$", name))
+    kinds = (one for one in vars(errors).values() if inspect.isclass(one) and issubclass(one, Exception | Warning))
+    return functions | {"Result": public, "errors": ends(one.__name__ for one in kinds)}
+
+
+def files() -> dict[str, Any]:
+    """Kind of file, key or column."""
+    page = (ROOT / "docs/reference/files.md").read_text("utf-8")
+    named = [*re.findall(r"\{fields\} ([\w.]+)", page), *FILES]
+    columns = (*reading.POSITION_COLUMNS, *reading.POSE_COLUMNS, *reading.WHEEL_COLUMNS.values())
+    return {path.rpartition(".")[2]: fields(path) for path in named} | {"telemetry": ends(columns)}
+
+
+def keys_of(value: Any) -> dict[str, Any]:
+    """Keys of JSON, those of all entries of a list together; long lists are recorded as their first entry."""
+    if isinstance(value, list):
+        merged: dict[str, Any] = {}
+        for one in value:
+            merged = together(merged, keys_of(one))
+        return merged
+    if not isinstance(value, dict):
+        return {}
+    if {"first", "last", "length"} <= value.keys():
+        return keys_of(value["first"])
+    return {key: keys_of(below) for key, below in value.items()}
+
+
+def json_keys() -> dict[str, Any]:
+    """Schema, key, key below it: of recorded answers, which other tests hold beside those of today."""
+    found: dict[str, Any] = {}
+    for answer in former_answers().values():
+        if "schema" in answer:
+            found = together(found, {answer["schema"]: keys_of(answer["result"])})
+    return found
+
+
+PARTS = {"commands": commands, "python": python, "files": files, "json": json_keys}
+
+
+def together(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
+    """All names of two trees."""
+    return one | {name: together(one.get(name, {}), below) for name, below in other.items()}
+
+
+def gone(former: dict[str, Any], now: dict[str, Any], above: str = "") -> list[str]:
+    """Names of one tree that another does not have."""
+    found = []
+    for name, below in former.items():
+        found += gone(below, now[name], f"{above}{name} > ") if name in now else [f"{above}{name}"]
+    return found
+
+
+def folded(tree: dict[str, Any]) -> dict[str, Any]:
+    """Names with the same below them as one, with `|` between."""
+    alike: dict[str, list[str]] = {}
+    for name in sorted(tree):
+        alike.setdefault(json.dumps(folded(tree[name]), sort_keys=True), []).append(name)
+    return {"|".join(names): json.loads(below) for below, names in alike.items()}
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_what_scripts_rely_on_is_still_there(part: str) -> None:
+    assert gone(frozen(part), PARTS[part]()) == []
+
+
+def test_a_name_that_is_gone_is_seen() -> None:
+    """Of each depth, and what comes is no fault."""
+    former = {"fit": {"--errors": {"laplace": {}, "profile": {}}, "--json": {}}, "bands": {}}
+    assert unfolded(folded(former)) == former
+    now = {"fit": {"--errors": {"laplace": {}, "sample": {}}, "--new": {}}}
+    assert gone(former, now) == ["fit > --errors > profile", "fit > --json", "bands"]
+    assert gone(former, together(former, now)) == []
+
+
+if __name__ == "__main__" and "--write" in sys.argv:
+    record = json.loads(FROZEN.read_text("utf-8")) if FROZEN.exists() else {}
+    now = {part: make() for part, make in PARTS.items()}
+    for run in sys.argv[2:]:  # folders of `former.run_once`, for columns
+        columns = pickle.loads(Path(run, "now.pickle").read_bytes())[2]
+        now = together(now, {"columns": {name: ends(names) for name, names in columns.items()}})
+    record = {part: folded(together(unfolded(record.get(part, {})), now.get(part, {}))) for part in (*PARTS, "columns")}
+    FROZEN.write_text(json.dumps(record, indent=0, sort_keys=True, ensure_ascii=False) + "\n", "utf-8")
