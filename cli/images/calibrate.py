@@ -40,7 +40,7 @@ Right = Annotated[
     typer.Option(
         "--right",
         metavar="PATTERN",
-        help="Those of the right camera: a pattern in quotes, such as 'right*.png'. Numbers in names tell moments.",
+        help="Pictures of the right camera: a pattern in quotes, such as 'right*.png'. Numbers in the names pair them.",
     ),
 ]
 EXAMPLES = (
