@@ -33,5 +33,5 @@ def template(kind: Kind) -> Report:
     from lunarsci.guide.template import template
 
     made = template(kind)
-    own = {Path(made.name).suffix: lambda _: made.text.encode()}
-    return Report(made, [TextTable([], [], title=made.name)], raw=lambda: made.text, formats=own)
+    by_suffix = {Path(made.name).suffix: lambda _: made.text.encode()}
+    return Report(made, [TextTable([], [], title=made.name)], raw=lambda: made.text, formats=by_suffix)
