@@ -35,9 +35,9 @@ EXAMPLES = (
 def merge(output: Output, dems: Elevations, request: MergeRequest) -> Report:
     """Elevation models of several stations as one map, by inverse variances, with common errors kept.
 
-    Random errors shrink where models overlap; offsets and positions are found from the overlaps as far as these tell,
-    and the rest stays as common error. The picture of --plot shows where models disagree. With -o FILE.npz or .tif the
-    map is written with its errors. Where models disagree beyond their errors the exit code is 3.
+    Random errors shrink where models overlap. Offsets and positions follow from the overlaps; what these leave open
+    stays as common error. -o FILE.npz or .tif writes the map with its errors. --plot shows where models disagree. Exit
+    code 3: they disagree beyond their errors.
     """
     from lunarsci.images.jobs.merge import merge
 
