@@ -17,14 +17,19 @@ Kind = Annotated[
         "mission, craters, telemetry, states of wheels, rig (stereo cameras), or pose of its left camera.",
     ),
 ]
+Wheels = Annotated[
+    str | None,
+    typer.Option("--rover", metavar="ROVER", help="Whose wheels telemetry and states are of: yutu2, small-four, FILE."),
+]
 EXAMPLES = (
     "lunarsci template plan > plan.toml",
     "lunarsci template rover > rover.toml",
+    "lunarsci template telemetry --rover small-four",
 )
 
 
 @command("template", EXAMPLES)
-def template(kind: Kind) -> Report:
+def template(kind: Kind, rover: Wheels = None) -> Report:
     """A file to begin with, every key with its meaning, unit and a value; commands take it as it is.
 
     What may be left out stands after a #. Change the numbers to yours; `lunarsci info FILE` says whether the file is
@@ -32,6 +37,6 @@ def template(kind: Kind) -> Report:
     """
     from lunarsci.guide.template import template
 
-    made = template(kind)
+    made = template(kind, rover)
     own = {Path(made.name).suffix: lambda _: made.text.encode()}
     return Report(made, [TextTable([], [], title=made.name)], raw=lambda: made.text, formats=own)

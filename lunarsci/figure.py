@@ -279,9 +279,8 @@ def _rendered(figures: "Iterable[Figure]", target: Path, suffix: str) -> bytes:
     content = _one(first, suffix)
     if left_out := [_headline_of(one, number) for number, one in enumerate(islice(pages, MOST_NAMED), 2)]:
         more = " and more" if next(pages, None) is not None else ""
-        text = (
-            f"{target}: {FIRST_PAGE}; left out: {'; '.join(left_out)}{more}; {target.with_suffix('.pdf').name} has all"
-        )
+        every = f"--plot {target.with_suffix('.pdf').name} draws all"
+        text = f"{target}: {FIRST_PAGE}; left out: {'; '.join(left_out)}{more}; {every}"
         warnings.warn(text, LunarSciWarning, stacklevel=3)
     return content
 

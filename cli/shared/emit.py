@@ -43,6 +43,11 @@ NAMED = 5
 MOST_ANSWERED = 1000
 """Spectra or rocks of a result that is answered in a sentence; of more, all records would have to be made for it."""
 
+NAMES = ("id", "name", "quantity", "parameter", "law", "assemblage")
+"""Keys of which one names a record of a list: `--field limits.tilt_deg.margin`."""
+MOST_STEPS = 20
+"""Names of records that are listed where one is wrong."""
+
 FORMS_BY_NAME = f"{', '.join(FORM_OF)} at the end of its name give other forms"
 """Beside a file whose name has another end."""
 OF_SPECTRA = {"lunarsci/spectra-fit/1": "fit_doubt", "lunarsci/spectra-unmix/1": "shares_doubt"}
@@ -284,7 +289,7 @@ def field_of(report: Report, path: str, whole: Mapping[str, Any]) -> tuple[str, 
             break
         doubt = (doubt_about(value) if isinstance(value, dict) else "") or doubt
         try:
-            value = _opened(value[int(step)] if _is_list(value) else value[step])
+            value = _opened(_item(value, step) if _is_list(value) else value[step])
         except (KeyError, IndexError, ValueError, TypeError):
             if isinstance(value, dict) and depth and _could_be(step, steps[:depth], top, report):
                 value, doubt = None, f"no '{step}' here; there is: {_names_in(value)}"
@@ -312,7 +317,7 @@ def _stored_doubt(stored: Mapping[str, Any], steps: Sequence[str]) -> str:
         return untrusted
     from lunarsci.spectra.jobs import verdicts
 
-    doubt: str = getattr(verdicts, teller)(stored["result"]["spectra"][int(steps[1])])
+    doubt: str = getattr(verdicts, teller)(_item(stored["result"]["spectra"], steps[1]))
     return doubt
 
 
@@ -352,6 +357,16 @@ def _opened(value: Any) -> Any:
     return value if _is_list(value) else plain(value)
 
 
+def _item(items: Sequence[Any], step: str) -> Any:
+    """One of a list, by its place or by the name that it has in it. Raises IndexError where there is none."""
+    if step.removeprefix("-").isdecimal():
+        return items[int(step)]
+    named = (one for one in map(_opened, items) if isinstance(one, dict) and step in map(one.get, NAMES))
+    if (one := next(named, None)) is None:
+        raise IndexError(step)
+    return one
+
+
 def _is_list(value: Any) -> bool:
     """Whether a step into it is a number: a list, or records of many things alike."""
     return isinstance(value, Sequence) and not isinstance(value, str | tuple)
@@ -360,7 +375,12 @@ def _is_list(value: Any) -> bool:
 def _names_in(value: Any) -> str:
     if isinstance(value, dict):
         return ", ".join(sorted(value))
-    return f"0 to {len(value) - 1}" if _is_list(value) and value else "nothing below it"
+    if not _is_list(value) or not value:
+        return "nothing below it"
+    first = map(_opened, value[:MOST_STEPS])
+    names = [next((str(one[key]) for key in NAMES if one.get(key)), "") for one in first if isinstance(one, dict)]
+    shown = ", ".join([*filter(None, names), *(["…"] if len(value) > MOST_STEPS else [])])
+    return f"0 to {len(value) - 1}{f', or by name: {shown}' if any(names) else ''}"
 
 
 def _plot(result: "Result", target: Path) -> bytes:

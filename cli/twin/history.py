@@ -190,10 +190,8 @@ def discrepancy_table(after: PhysicsDiscrepancy, before: PhysicsDiscrepancy | No
     rows = []
     for label, key in parts.items():
         one, old = (_law(law, key) for law in (after, before or after))
-        cells = [f"± {100 * one.half_width(p):.2g} %" for p in (0.68, 0.95)]
-        rows.append(
-            [label, *cells, f"{one.degrees:.1f}", *([f"± {100 * old.half_width(0.68):.2g} %"] if before else [])]
-        )
+        cells = [_share(one.half_width(p)) for p in (0.68, 0.95)]
+        rows.append([label, *cells, f"{one.degrees:.1f}", *([_share(old.half_width(0.68))] if before else [])])
     count = len(after.scored)
     first = " and ".join(dict.fromkeys(f"{_law(FIRST, key).degrees:g}" for key in parts.values()))
     notes = [
@@ -201,6 +199,11 @@ def discrepancy_table(after: PhysicsDiscrepancy, before: PhysicsDiscrepancy | No
         f"worth: as many drives would tell it as surely; {first} of them stand for the simulations it began with",
     ]
     return TextTable(headers, rows, title="What the twin's physics is off by, beside the soil", notes=notes)
+
+
+def _share(half_width: float) -> str:
+    """An interval about what the twin says; beyond all of it nothing is left that it says."""
+    return f"± {100 * half_width:.2g} %" if half_width < 1.0 else "± 100 % or more"
 
 
 def _law(law: PhysicsDiscrepancy, key: str) -> Any:

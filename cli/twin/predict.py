@@ -157,7 +157,7 @@ def _limit_row(limit: Judgement) -> list[str]:
         f"{factor * limit.margin:.3g}",
         unit,
         "ok" if limit.ok else "broken",
-        "assumed" if limit.assumed else "",
+        "assumed" if limit.assumed else "rover" if limit.source.startswith("the rover's") else "plan",
     ]
 
 

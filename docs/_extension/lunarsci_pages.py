@@ -20,7 +20,7 @@ from pages_of_code import (
     telemetry_text,
     wheels_text,
 )
-from pages_of_commands import command_text, commands_text, keys_text, units_text
+from pages_of_commands import command_text, commands_text, keys_text, options_text, units_text
 from pages_of_sources import constants_text, sources_text
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
@@ -73,6 +73,13 @@ def docstring(app: Sphinx, what: str, name: str, thing: Any, options: Any, lines
     lines[:] = [re.sub(r"(?<![`:])`([^`]+)`(?!`)", r"``\1``\\ ", line) for line in made]
 
 
+def add_options(app: Sphinx, name: str, source: list[str]) -> None:
+    """The options of commands, at the end of their page."""
+    folder, _, page = name.rpartition("/")
+    if folder == "reference/commands":
+        source[0] += options_text(page)
+
+
 def setup(app: Sphinx) -> dict[str, bool]:
     for name, make, arguments in (
         ("command", command_text, 1),
@@ -93,4 +100,5 @@ def setup(app: Sphinx) -> dict[str, bool]:
     ):
         app.add_directive(name, directive(make, arguments))
     app.connect("autodoc-process-docstring", docstring)
+    app.connect("source-read", add_options)
     return {"parallel_read_safe": True}

@@ -16,6 +16,7 @@ from lunarsci.minerals import WITH_BANDS
 from lunarsci.result import UNITS, unit_of
 
 ROOT = Path(__file__).parents[2]
+COMMAND_PAGES = ROOT / "docs/reference/commands"
 SHARED = "Output"
 """Panel of the options that all commands share."""
 
@@ -88,6 +89,25 @@ def command_text(path: str) -> str:
     if shared:
         parts.append(f"**{SHARED}** (the same in all commands)\n\n" + "\n".join(shared))
     return "\n\n".join(parts)
+
+
+def page_of(path: str) -> str:
+    """The page of the reference that is named after a command or its group; the index has all others."""
+    words = path.split()
+    names = ["-".join(words[:number]) for number in range(len(words), 0, -1)]
+    return next((name for name in names if (COMMAND_PAGES / f"{name}.md").exists()), "index")
+
+
+def commands_of_page(page: str) -> list[str]:
+    return [path for path, _ in every_command() if page_of(path) == page]
+
+
+def options_text(page: str) -> str:
+    """The sections that end a page of the reference: each of its commands with its options."""
+    paths = commands_of_page(page)
+    heads = [f"`lunarsci {path}`" if page == "index" else f"Options of `{path.rpartition(' ')[2]}`" for path in paths]
+    heads = heads if len(paths) > 1 else ["Options"]
+    return "".join(f"\n## {head}\n\n```{{command}} {path}\n```\n" for head, path in zip(heads, paths, strict=True))
 
 
 def commands_text() -> str:

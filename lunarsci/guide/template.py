@@ -13,14 +13,16 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from lunarsci.errors import RequestError
 from lunarsci.names import checked_name
+from lunarsci.ranges import refuse
 from lunarsci.result import Result
+from lunarsci.rovers import DEFAULT_ROVER
 
 COMMENT_WIDTH = 110
 ATTRIBUTE = re.compile(
     r"^(\w+(?:, \w+)*) : (.+?)(?=^\w+(?:, \w+)* : |^Raises |^\S.*\n-+$|\Z)", re.DOTALL | re.MULTILINE
 )
-WHEELS = ("FL", "FR", "ML", "MR", "RL", "RR")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -40,9 +42,15 @@ class FileTemplate(Result):
         return [{"line": line} for line in self.text.splitlines()]
 
 
-def template(kind: str) -> FileTemplate:
-    """A file of a kind, one of `KINDS`. Raises ParameterError for another one."""
+def template(kind: str, rover: str | None = None) -> FileTemplate:
+    """A file of a kind, one of `KINDS`, with the wheels of a rover where it has wheels.
+
+    Raises ParameterError for another kind, RequestError for a rover where there are no wheels.
+    """
     name, make = KINDS[checked_name(kind, KINDS, "a kind of file")]
+    if kind in OF_A_ROVER:
+        return FileTemplate(kind=kind, name=name, text=OF_A_ROVER[kind](rover or DEFAULT_ROVER))
+    refuse({f"`rover` is of {' and '.join(OF_A_ROVER)}; a {kind} has no wheels": rover is not None}, kind=RequestError)
     return FileTemplate(kind=kind, name=name, text=make())
 
 
@@ -168,7 +176,8 @@ def _plan() -> str:
         "[limits]",
     ]
     for limit in embedded.limits:
-        entry = {"value": limit.limit, "source": "assumed", "assumed": True}
+        assumed = {"source": "assumed", "assumed": True}
+        entry = {"value": limit.limit} | (assumed if limit.assumed else {"source": limit.source})
         lines += [f"# {limit.sense}, [{limit.unit}]", _line(limit.quantity, entry)]
     lines += [
         "",
@@ -224,17 +233,18 @@ def _cell(text: str) -> str:
     return f'"{quoted}"' if set(text) & set(',"') else text
 
 
-def _telemetry() -> str:
+def _telemetry(rover: str) -> str:
     """Telemetry of a straight drive at 0.05 m/s, without noise."""
-    from lunarsci.regolith.wheel import read_wheel
+    from lunarsci.twin.rover import build_rover
     from lunarsci.twin.telemetry.reading import POSE_COLUMNS, WHEEL_COLUMNS, Telemetry
 
-    texts, radius, speed = described(Telemetry), read_wheel("yutu2").radius_m, 0.05
+    drives, texts, speed = build_rover(rover), described(Telemetry), 0.05
+    names, radius = drives.wheels, drives.wheel.radius_m
     per_wheel = {"angle_deg": "angle", "steered_deg": "steered"}
     columns = ["time_s", "x_m", "y_m", "sigma_m", "yaw_deg", "yaw_deg_sigma", "roll_deg", "pitch_deg"]
-    wheels = [WHEEL_COLUMNS[name].format(wheel) for name in per_wheel for wheel in WHEELS]
+    wheels = [WHEEL_COLUMNS[name].format(wheel) for name in per_wheel for wheel in names]
     lines = [
-        "# Telemetry of a rover with the wheels FL, FR, ML, MR, RL, RR: made up, straight ahead without slip or noise.",
+        f"# Telemetry of a rover with the wheels {', '.join(names)}: made up, straight ahead without slip or noise.",
         "# time_s may count from elsewhere, such as 1970: `twin states --start-time S` says when the plan began.",
         "# x_m and y_m are blank where there is no position; sigma_m is the standard error of each of them.",
         *(f"# {name}: {texts[name]}" for name in ("time_s", *POSE_COLUMNS)),
@@ -246,12 +256,13 @@ def _telemetry() -> str:
         way = speed * second
         place = [f"{way:.3f}", "0.000", "0.010"] if second % 10 == 0 else ["", "", ""]
         angle = f"{way / radius * 57.29577951:.3f}"
-        lines.append(",".join([f"{second}", *place, "0.0", "0.1", "0.0", "0.0", *[angle] * 6, *["0.0"] * 6, "true"]))
+        turned = [*[angle] * len(names), *["0.0"] * len(names)]
+        lines.append(",".join([f"{second}", *place, "0.0", "0.1", "0.0", "0.0", *turned, "true"]))
     return "\n".join([*lines, ""])
 
 
-def _states() -> str:
-    """What the closed form says of a wheel of Yutu-2 under its load, over slip."""
+def _states(rover: str) -> str:
+    """What the closed form says of a rover's wheel under a sixth of Yutu-2's weight, over slip."""
     from lunarsci.regolith.jobs.wheel_forces import wheel_forces
     from lunarsci.regolith.states import COLUMNS
 
@@ -264,14 +275,14 @@ def _states() -> str:
         "lateral_force_n": "of the ground across the heading. [N]; with the sign of the side slip that it acts against",
     }
     lines = [
-        "# Wheel states, a row each: made up, by the closed form, lunar-typical soil, yutu2's wheel, without noise.",
+        f"# Wheel states, a row each: made up, by the closed form, lunar-typical soil, {rover}'s wheel, without noise.",
         "# slip_ratio, side_slip_deg and lateral_force_n may be blank or left out. NAME_sigma is the standard",
         "# deviation of NAME, in its unit; without it the default errors of `lunarsci regolith infer` are taken.",
         *(f"# {name}: {texts[name]}" for name in COLUMNS),
         "# rover: name in its file and size of its wheels; leave it out, and name your rover or wheel with --rover.",
         ",".join([*COLUMNS, "sinkage_m_sigma", "synthetic", "rover"]),
     ]
-    for row in wheel_forces(rover="yutu2", load=36.5, slip="0:0.5:6", side_slip=2.0).rows():
+    for row in wheel_forces(rover=rover, load=36.5, slip="0:0.5:6", side_slip=2.0).rows():
         lines.append(",".join([*(f"{row[name]:.5g}" for name in COLUMNS), "0.0005", "true", row["rover"]]))
     return "\n".join([*lines, ""])
 
@@ -351,10 +362,12 @@ KINDS: Mapping[str, tuple[str, Callable[[], str]]] = {
     "plan": ("plan.toml", _plan),
     "mission": ("mission.toml", _mission),
     "craters": ("craters.csv", _craters),
-    "telemetry": ("telemetry.csv", _telemetry),
-    "states": ("states.csv", _states),
+    "telemetry": ("telemetry.csv", lambda: _telemetry(DEFAULT_ROVER)),
+    "states": ("states.csv", lambda: _states(DEFAULT_ROVER)),
     "prior": ("prior.toml", _prior),
     "rig": ("rig.toml", _rig),
     "pose": ("pose.toml", _pose),
 }
 """What there is: the usual name of such a file, and what makes its text."""
+OF_A_ROVER: Mapping[str, Callable[[str], str]] = {"telemetry": _telemetry, "states": _states}
+"""Of these, what makes the text for the wheels of a rover."""

@@ -30,8 +30,6 @@ COVERED = 0.5
 """Share of these places that must lie on triangles; assumed."""
 ALIKE = 4 / 7
 """Distance of pixels whose errors are independent, as a share of their windows: as `matching.CORRELATED`."""
-REPRESENTED = 0.09
-"""Share of the relief between nodes that the mean of a cell misses: as `matching.CORRELATED`."""
 HIDDEN = 0.8
 """Error of what no pixel shows of a cell, over that relief: as `matching.CORRELATED`."""
 SMOOTH_M = 0.06
@@ -134,11 +132,12 @@ def grid_of(
     near = np.abs(cloud.points[:, 2] - first.ravel()[cell]) <= OUTLYING * sigma + STEEPEST * spacing_m
     values = np.column_stack([cloud.points[:, 2], sigma**2, gain, window, ALIKE * cloud.window_px])
     layers, covered = _on_triangles(cloud, near, values, matches, (x0, y0, spacing_m), shape)
-    height, variance, by_disparity, width, alike = np.moveaxis(layers, -1, 0)
+    height, variance, by_disparity, width, alike, between = np.moveaxis(layers, -1, 0)
     count = np.bincount(cell[near], minlength=shape[0] * shape[1]).reshape(shape)
     common, shift = _common_errors(rig, pose, height, (x0, y0, spacing_m))
     parts = (
         _spread_of_means(height, variance, (count, alike), covered, spacing_m),
+        np.sqrt(between),
         _unevenness(height, spacing_m) * shift,
     )
     return ElevationModel(
@@ -147,7 +146,7 @@ def grid_of(
         y0_m=y0,
         spacing_m=spacing_m,
         height_m=height,
-        height_m_sigma=np.hypot(*parts),
+        height_m_sigma=np.sqrt(sum(part**2 for part in parts)),
         height_m_common_sigma=common,
         count=np.where(np.isfinite(height), np.maximum(count, 0.5), 0.0),
         height_by_disparity_m_px=by_disparity,
@@ -173,8 +172,7 @@ def _spread_of_means(
     """
     alone = pixels[1] / (np.sqrt(np.maximum(pixels[0], 1)) + pixels[1] - 1)
     relief = _relief(height, spacing_m)
-    parts = alone * np.sqrt(variance), REPRESENTED * relief, HIDDEN * (1.0 - covered) * relief
-    return np.asarray(np.sqrt(sum(np.square(part) for part in parts)))
+    return np.asarray(np.hypot(alone * np.sqrt(variance), HIDDEN * (1.0 - covered) * relief))
 
 
 def _medians(cell: npt.NDArray[np.int64], z: FloatArray, shape: tuple[int, int]) -> FloatArray:
@@ -284,12 +282,16 @@ def _on_triangles(
     grid: tuple[float, float, float],
     shape: tuple[int, int],
 ) -> tuple[FloatArray, FloatArray]:
-    """Means of values (n, m) over each cell (ny, nx, m), on triangles between neighbouring pixels, and how much of it
-    these cover (ny, nx), 0 to 1; means are NaN where that is little. `used` (n,) are the pixels that count."""
+    """Means of values (n, m) over each cell, on triangles between neighbouring pixels, and how much of it these cover
+    (ny, nx), 0 to 1; means are NaN where that is little. `used` (n,) are the pixels that count.
+
+    The last layer of (ny, nx, m + 1) is the variance of a cell's mean by what no pixel shows: where the ground falls
+    away from the camera by h from one row of pixels to the next, it lies anywhere down to h below the line of sight.
+    """
     numbers = np.full(matches.disparity.shape, -1, dtype=np.int64)
     numbers[cloud.pixels[used, 0], cloud.pixels[used, 1]] = np.flatnonzero(used)
     place = (cloud.points[:, :2] - np.array(grid[:2])) / grid[2] * PARTS + 0.5 * (PARTS - 1)
-    total = np.zeros((shape[0] * PARTS, shape[1] * PARTS, values.shape[1]), dtype=np.float32)
+    total = np.zeros((shape[0] * PARTS, shape[1] * PARTS, values.shape[1] + 1), dtype=np.float32)
     weight = np.zeros(total.shape[:2], dtype=np.float32)
     jump = 1.0 / (matches.rectified.focal_px * math.tan(math.radians(GRAZING_DEG)))
     _lay(numbers, np.ascontiguousarray(place), np.ascontiguousarray(values), cloud.disparity, jump, total, weight)
@@ -308,10 +310,10 @@ def _lay(numbers, place, values, disparity, jump, total, weight):  # type: ignor
     """Lay both triangles of every four neighbouring pixels that are one surface.
 
     numbers : of each pixel of the picture among n points, -1 for none. (h, w)
-    place, values, disparity : of the points: x and y in places of `total`, what is averaged, disparity [px].
-        (n, 2), (n, m), (n,)
+    place, values, disparity : of the points: x and y in places of `total`, what is averaged, first of it the height,
+        disparity [px]. (n, 2), (n, m), (n,)
     jump : share of the disparity by which it differs at most over one surface. [-]
-    total, weight : sums of values, and how many triangles lie at a place; both are added to. (y, x, m), (y, x)
+    total, weight : sums of values, and how many triangles lie at a place; both are added to. (y, x, m + 1), (y, x)
     """
     for v in range(numbers.shape[0] - 1):
         for u in range(numbers.shape[1] - 1):
@@ -323,13 +325,23 @@ def _lay(numbers, place, values, disparity, jump, total, weight):  # type: ignor
             far = min(min(disparity[a], disparity[b]), min(disparity[c], disparity[d]))
             if near - far > jump * near:
                 continue
-            _triangle(place, values, a, b, c, total, weight)
-            _triangle(place, values, b, c, d, total, weight)
+            _triangle(place, values, a, b, c, _between(place, values, disparity, a, c), total, weight)
+            _triangle(place, values, b, c, d, _between(place, values, disparity, b, d), total, weight)
 
 
 @compiled(error_model="numpy")
-def _triangle(place, values, a, b, c, total, weight):  # type: ignore[no-untyped-def]
-    """Lay the triangle of points a, b, c, values linear between them; arguments as of `_lay`."""
+def _between(place, values, disparity, a, c):  # type: ignore[no-untyped-def]
+    """Variance that the ground between two pixels of neighbouring rows adds to the mean of a cell, of which it is at
+    most all: a height anywhere between 0 and h has a mean square of h^2 / 3. [m2]"""
+    fall = (values[c, 0] - values[a, 0]) * (1.0 if disparity[c] > disparity[a] else -1.0)
+    share = math.hypot(place[a, 0] - place[c, 0], place[a, 1] - place[c, 1]) / PARTS
+    return max(fall, 0.0) ** 2 / 3.0 * min(share, 1.0)
+
+
+@compiled(error_model="numpy")
+def _triangle(place, values, a, b, c, between, total, weight):  # type: ignore[no-untyped-def]
+    """Lay the triangle of points a, b, c, values linear between them, and its variance `between`; arguments as of
+    `_lay`."""
     ax, ay, bx, by, cx, cy = place[a, 0], place[a, 1], place[b, 0], place[b, 1], place[c, 0], place[c, 1]
     area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
     if area == 0.0:
@@ -341,6 +353,7 @@ def _triangle(place, values, a, b, c, total, weight):  # type: ignore[no-untyped
             p = ((bx - x) * (cy - y) - (cx - x) * (by - y)) / area
             q = ((cx - x) * (ay - y) - (ax - x) * (cy - y)) / area
             if p >= 0.0 and q >= 0.0 and p + q <= 1.0:
+                total[y, x, values.shape[1]] += between
                 for k in range(values.shape[1]):
                     total[y, x, k] += p * values[a, k] + q * values[b, k] + (1.0 - p - q) * values[c, k]
                 weight[y, x] += 1.0

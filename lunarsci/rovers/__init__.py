@@ -28,7 +28,8 @@ class RoverDescription:
     """One rover file, parsed and not yet interpreted.
 
     `tables` maps table name to key to plain value; `assumed` lists the dotted keys that are guesses; `text` is the
-    file as read, kept for provenance; `left` are dotted keys of numbers that are a template's, and whose they are.
+    file as read, kept for provenance; `left` are dotted keys of numbers that are a template's, and whose they are;
+    `sources` says by dotted key where a number is from, where the file does.
     """
 
     name: str
@@ -37,6 +38,7 @@ class RoverDescription:
     origin: str
     text: str
     left: Mapping[str, str] = field(default_factory=dict)
+    sources: Mapping[str, str] = field(default_factory=dict)
 
     def table(self, name: str) -> dict[str, Any]:
         """Return one table. Raises DataError when the file lacks it."""
@@ -92,11 +94,11 @@ def _parse(text: str, origin: str) -> RoverDescription:
 def _described(document: dict[str, Any], origin: str, text: str) -> RoverDescription:
     sections = {key: table for key, table in document.items() if isinstance(table, dict)}
     tables = {name: {key: _value(v) for key, v in table.items()} for name, table in sections.items()}
-    assumed = tuple(
-        f"{n}.{k}" for n, t in sections.items() for k, v in t.items() if isinstance(v, dict) and v.get("assumed")
-    )
-    left = {f"{n}.{k}": of for n, t in sections.items() for k, v in t.items() if (of := _placed(v))}
-    return RoverDescription(str(document.get("name", origin)), tables, assumed, origin, text, left)
+    entries = {f"{n}.{k}": v for n, t in sections.items() for k, v in t.items()}
+    assumed = tuple(key for key, v in entries.items() if isinstance(v, dict) and v.get("assumed"))
+    left = {key: of for key, v in entries.items() if (of := _placed(v))}
+    sources = {key: str(v["source"]) for key, v in entries.items() if isinstance(v, dict) and v.get("source")}
+    return RoverDescription(str(document.get("name", origin)), tables, assumed, origin, text, left, sources)
 
 
 def _file(name: str) -> str:

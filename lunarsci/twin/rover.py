@@ -200,6 +200,7 @@ class Rover:
     gravity_m_s2 : acceleration of gravity. [m/s2]
     body : underside of the chassis, None where unknown.
     max_slope_deg : the steepest slope that it may stand on, above 0, at most 90. [deg]
+    max_slope_source : where that is from; empty where it is assumed.
     motors, power : of the wheels, and battery and panels; None where unknown. No force of a drive depends on them.
 
     The left rocker turns by +rho about the chassis' y axis, the right one by -rho: a differential does that whether it
@@ -229,6 +230,7 @@ class Rover:
     motors: Motors | None = None
     power: PowerSupply | None = None
     max_slope_deg: float = FALLBACK_SLOPE_DEG
+    max_slope_source: str = ""
 
     def __post_init__(self) -> None:
         check_ranges(self, RANGES, "rover")
@@ -354,7 +356,7 @@ def build_rover(rover: str | RoverDescription, *, varied: bool = False) -> Rover
             bogie=bogie,
             steered=tuple(str(pair) for pair in steering["steered_wheels"]),
             steering_offset_m=float(steering.get("offset_m", 0.0)),
-            max_slope_deg=float(description.tables.get("limits", {}).get("max_slope_deg", FALLBACK_SLOPE_DEG)),
+            **_slope(description),
             **numbers,
             **{name: record_of(kind, description.tables[name], f"[{name}]")
                for name, kind in parts.items() if name in description.tables},
@@ -369,6 +371,18 @@ def build_rover(rover: str | RoverDescription, *, varied: bool = False) -> Rover
         raise
     except (TypeError, ValueError) as error:
         raise DataError(f"{description.origin}: {error}") from error
+
+
+def _slope(description: RoverDescription) -> dict[str, Any]:
+    """The steepest slope of a rover's [limits], and where it is from unless it is assumed."""
+    given, key = description.tables.get("limits", {}), "limits.max_slope_deg"
+    if "max_slope_deg" not in given:
+        return {}
+    source = description.sources.get(key, f"[limits] of {description.origin}")
+    return {
+        "max_slope_deg": float(given["max_slope_deg"]),
+        "max_slope_source": "" if key in description.assumed else source,
+    }
 
 
 def _numbers(value: Any, name: str) -> Any:

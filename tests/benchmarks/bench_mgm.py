@@ -22,8 +22,9 @@ from lunarsci.compiled import set_threads
 from lunarsci.spectra.mgm.batch import problem_of
 from lunarsci.spectra.mgm.fit import fit_batch, hops_of, starting_points
 from lunarsci.spectra.mgm.forward import FWHM_OVER_SIGMA, model_and_jacobian
-from lunarsci.spectra.mgm.levenberg_marquardt import Channels, KernelFits
+from lunarsci.spectra.mgm.levenberg_marquardt import Channels
 from lunarsci.spectra.mgm.model import MgmModel, mgm_model
+from lunarsci.spectra.mgm.multistart import KernelFits
 
 NOISE = 0.005
 NINE = ("uv", "visible_2", "ol_m1_1", "ol_m2", "ol_m1_2", "opx_1", "opx_2", "cpx_1", "cpx_2")

@@ -1,6 +1,6 @@
 """What maps of all that M3 measured would cost: `python tests/benchmarks/cost_of_m3.py`.
 
-For docs/validation/cost-of-m3.md.
+For docs/validation/speed.md.
 
 A SYNTHETIC strip is written as an ENVI cube, and a block of it mapped as `spectra map` does it: processor seconds of
 the worker and of the process that gives out the blocks and writes the map, bytes that are sent and written, all per

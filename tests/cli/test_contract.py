@@ -498,8 +498,11 @@ def test_a_report_words_all_its_reasons() -> None:
 
 
 def test_names_of_other_things_of_a_list_could_be_here() -> None:
-    result = {"rocks": [{"inner": {"a": 1}}, {"inner": {"b": 2}}], "a": None}
+    result = {"rocks": [{"inner": {"a": 1}}, {"inner": {"b": 2}, "name": "second"}], "a": None}
     report = Report(Listed(record=result), ())
+    assert field_of(report, "rocks.second.inner.b", {}) == ("2\n", "")
+    with pytest.raises(BadParameter, match="there is: 0 to 1, or by name: second"):
+        field_of(report, "rocks.third", {})
     assert field_of(report, "rocks.0.inner.a", {}) == ("1\n", "")
     text, doubt = field_of(report, "rocks.0.inner.b", {})
     assert text == "null\n"
@@ -678,6 +681,7 @@ def test_a_value_of_a_kept_batch_is_trusted_as_its_own_spectrum_is(tmp_path: Pat
     assert [one.code for one in asked] == [0, 3, 3, 3, 3]
     assert asked[0].err == [] and "s4 is not to be trusted: the assemblage is not decided" in asked[4].err[0]
     assert run("info", kept, "--field", "result.spectra").code == 3
+    assert [run("info", kept, "--field", f"result.spectra.s{k}.rms_ln").code for k in (0, 4)] == [0, 3]
 
 
 @pytest.mark.parametrize("quiet", [(), ("-q",)])

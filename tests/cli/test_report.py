@@ -32,7 +32,9 @@ def test_a_picture_of_several_pages_names_those_that_are_left_out(run, rock: Pat
     assert run("spectra", "bands", rocks, "-o", bands).code == 0
     done = run("spectra", "match", bands, "-o", made["json"], "--plot", made["png"])
     [said] = [line for line in done.err if "several pages" in line]
-    assert "left out: page 2 (" in said and "page 3 (" in said and "match.pdf has all" in said and " more;" not in said
+    assert (
+        "left out: page 2 (" in said and "page 3 (" in said and "match.pdf draws all" in said and " more;" not in said
+    )
     assert run("report", made["json"], made["png"], "-o", made["html"]).code == 0
     assert "match.png, the first page of several; --plot FILE.pdf has all" in made["html"].read_text("utf-8")
     assert run("spectra", "match", bands, "-o", made["json"], "--plot", made["pdf"], "--force").code == 3

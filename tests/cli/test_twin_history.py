@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lunarsci.cli.twin.history import discrepancy_table
 
 from lunarsci.io.inputs import read_input
 from lunarsci.regolith.belief import SoilBelief, first_belief, read_belief, with_drive
-from lunarsci.regolith.physics_discrepancy import FIRST
+from lunarsci.regolith.physics_discrepancy import FIRST, VarianceLaw
 
 
 def update(before: SoilBelief, states: str, shift: float, refused: str = "") -> SoilBelief:
@@ -113,6 +114,13 @@ def test_the_way_back(run, files: tuple[Path, Path], tmp_path: Path) -> None:
     beyond = run("twin", "history", files[0], "--rollback", "7", "--save", tmp_path / "x.json")
     assert beyond.code == 1 and "rests on 3" in beyond.err[0] and not (tmp_path / "x.json").exists()
     assert run("twin", "history", files[0], "--rollback", "1", "--save", back).code == 2  # it exists
+
+
+def test_what_is_beyond_all_is_not_a_percentage() -> None:
+    """A way of 150 % less is none: the table says that nothing is left of what the twin says."""
+    wide = dataclasses.replace(FIRST, along=VarianceLaw(3.0, 0.9))
+    rows = discrepancy_table(wide, FIRST).rows
+    assert rows[0][1:3] == ["± 100 % or more"] * 2 and rows[0][4] == "± 2.1 %" and rows[1][1] == "± 1.3 %"
 
 
 def test_older_and_broken_files(run, files: tuple[Path, Path], tmp_path: Path) -> None:

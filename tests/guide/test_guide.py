@@ -17,7 +17,7 @@ import pandas as pd
 import pytest
 
 import lunarsci
-from lunarsci.errors import DataError, ParameterError
+from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.guide import doctor
 from lunarsci.guide.cite import REFERENCE, SEVERAL, CitedSources, cite, reference_of, reference_to, works
 from lunarsci.guide.cite import _cited as cite_of
@@ -31,6 +31,7 @@ from lunarsci.regolith.compare import reference_soils
 from lunarsci.regolith.prior import default_prior, read_prior
 from lunarsci.regolith.soil import read_soil
 from lunarsci.rovers import read_rover
+from lunarsci.twin.rover import build_rover
 
 
 def written(folder: Path, name: str, text: str | bytes) -> Path:
@@ -82,6 +83,21 @@ def test_the_comments_of_a_template_are_keys_that_the_reader_knows(kind: str, tm
 def test_a_template_of_another_kind_names_the_nearest() -> None:
     with pytest.raises(ParameterError, match="did you mean 'mission'"):
         template("misson")
+    with pytest.raises(RequestError, match="a plan has no wheels"):
+        template("plan", "small-four")
+
+
+def test_telemetry_to_begin_with_has_the_wheels_of_a_rover(tmp_path: Path) -> None:
+    """Made up without slip on level ground, of the rolling radius without grousers: s is what the grousers add."""
+    rover = build_rover("small-four")
+    path = written(tmp_path, "sent.csv", template("telemetry", "small-four").text)
+    found = lunarsci.states(
+        path, rover="small-four", terrain=(np.arange(-9.0, 9.0), np.arange(-9.0, 9.0), np.zeros((18, 18)))
+    )
+    assert {row["wheel"] for row in found.rows()} == {"FL", "FR", "RL", "RR"}
+    slip = 1.0 - rover.wheel.radius_m / rover.wheel.shearing_radius_m
+    assert np.median([row["slip_ratio"] for row in found.rows()]) == pytest.approx(slip, abs=0.005)
+    assert "small-four's wheel" in template("states", "small-four").text
 
 
 def test_a_rover_that_comes_along_is_a_file_to_begin_with(tmp_path: Path) -> None:

@@ -185,7 +185,7 @@ def test_pages_of_a_picture_are_no_warning_about_a_result() -> None:
     drive = of("predict")
     pages = [
         "a.png: holds the first page only; a .pdf holds all",
-        f"b.png: {FIRST_PAGE}; left out: page 2; b.pdf has all",
+        f"b.png: {FIRST_PAGE}; left out: page 2; --plot b.pdf draws all",
     ]
     record = {"untrusted": "", "warnings": pages}
     made = replace(drive, provenance=record)

@@ -179,8 +179,9 @@ def _unfit(kind: KindVerdict) -> str:
     if kind.outlier:
         return "; ".join(kind.reasons)
     soil, rock = (kind.probabilities[name] for name in ("weathered-soil", "solid-rock"))
-    text = f"solid rock {100 * rock:.0f} %, soil {100 * soil:.0f} %: not decided, state the kind"
-    return text if rock > soil and not kind.stated else ""
+    return (
+        "rather a solid rock than a soil, as far as is known: state the kind" if rock > soil and not kind.stated else ""
+    )
 
 
 TITLES = {"plagioclase_wt": "normative plagioclase [wt %]", "feo_wt": "FeO [wt %]", "tio2_wt": "TiO$_2$ [wt %]"}

@@ -22,12 +22,11 @@ from lunarsci.spectra.mgm.laplace import LaplaceErrors, laplace_errors
 from lunarsci.spectra.mgm.levenberg_marquardt import (
     CONVERGED,
     ITERATION_LIMIT,
-    SIGNIFICANT,
     Channels,
     FitProblem,
-    KernelFits,
 )
 from lunarsci.spectra.mgm.model import NM_PER_UM, MgmModel, center_slopes, prior_covariance
+from lunarsci.spectra.mgm.multistart import SIGNIFICANT, KernelFits
 from lunarsci.spectra.mgm.result import REACH_NM, UNDETERMINED, FittedBand, MgmFit, StrengthRatio, pyroxene_pair
 from lunarsci.spectra.spectrum import reaches_over
 

@@ -21,8 +21,9 @@ from lunarsci.spectra.collection import SpectrumCollection
 from lunarsci.spectra.mgm import MgmContinuum
 from lunarsci.spectra.mgm.batch import MOST_ROWS, FitBatch, channels_of, describe_rows, joined, problem_of
 from lunarsci.spectra.mgm.data import MgmData, MgmRows, SpectraRows, prepare_rows
-from lunarsci.spectra.mgm.levenberg_marquardt import Channels, FitProblem, KernelFits, Multistart
+from lunarsci.spectra.mgm.levenberg_marquardt import Channels, FitProblem
 from lunarsci.spectra.mgm.model import MGM_CONTINUA, MgmModel
+from lunarsci.spectra.mgm.multistart import KernelFits, Multistart
 from lunarsci.spectra.mgm.result import FittedBand, MgmFailure, MgmFit, StrengthRatio
 from lunarsci.spectra.spectrum import Spectrum
 

@@ -12,8 +12,9 @@ from lunarsci.errors import ParameterError
 from lunarsci.spectra.mgm.batch import describe_rows
 from lunarsci.spectra.mgm.data import MgmRows
 from lunarsci.spectra.mgm.forward import model_and_jacobian
-from lunarsci.spectra.mgm.levenberg_marquardt import CONVERGED, ITERATION_LIMIT, KernelFits
+from lunarsci.spectra.mgm.levenberg_marquardt import CONVERGED, ITERATION_LIMIT
 from lunarsci.spectra.mgm.model import MIN_FWHM_UM, MgmModel, unit_of
+from lunarsci.spectra.mgm.multistart import KernelFits
 from lunarsci.spectra.mgm.result import MgmFit
 
 if TYPE_CHECKING:

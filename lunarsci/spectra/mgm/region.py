@@ -37,14 +37,13 @@ from lunarsci.spectra.mgm.levenberg_marquardt import (
     Channels,
     DescentOptions,
     FitProblem,
-    KernelFits,
     Linearised,
-    Multistart,
     Workspace,
     descend,
     workspace_for,
 )
 from lunarsci.spectra.mgm.model import MgmModel
+from lunarsci.spectra.mgm.multistart import KernelFits, Multistart
 
 
 def kinds_of(points: FloatArray, model: MgmModel) -> IndexArray:

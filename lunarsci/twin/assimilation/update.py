@@ -471,16 +471,19 @@ class SlipLean:
         errors = abs(self.simulated - self.measured) / self.error
         way_out = "" if self.stretch else ", or learn each stretch on its own (--save-map)"
         return (
-            f"{self.stretch}median slip is {self.simulated:.3f} on the soil found, {self.measured:.3f} was measured "
+            f"{self.stretch}median slip is {self.simulated:.3f} predicted by this belief, {self.measured:.3f} measured "
             f"({errors:.1f} standard errors): predictions slip {more} than the rover does; look for a wrong rover, "
             f"track depth or terrain{way_out}"
         )
 
     @property
     def text(self) -> str:
-        """Both medians and the error of their difference."""
-        result = f"{self.measured:.3f} measured, {self.simulated:.3f} simulated on the soil found"
-        return f"{self.stretch}median slip ratio: {result}; standard error of the difference {self.error:.3f}"
+        """Both medians and the error of their difference, and why tables of predictions show more."""
+        result = f"{self.measured:.3f} measured, {self.simulated:.3f} predicted from what is believed now"
+        return (
+            f"{self.stretch}median slip ratio: {result}; standard error of the difference "
+            f"{self.error:.3f}; `twin predict` lists the largest of each drive"
+        )
 
     def to_dict(self) -> dict[str, float | bool]:
         """For a result."""

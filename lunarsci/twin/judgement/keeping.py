@@ -35,13 +35,11 @@ def limits_judged(prediction: Prediction) -> tuple[Limit, ...]:
 
 def _implied(prediction: Prediction) -> tuple[Limit, ...]:
     rover, others = prediction.rover, []
-    of_rover = [
-        replace(limit, source=f"{PLAN_HAS_NONE}: {limit.source}", assumed=True) for limit in rover_limits(rover)
-    ]
+    of_rover = [replace(limit, source=f"{PLAN_HAS_NONE}: {limit.source}") for limit in rover_limits(rover)]
     if prediction.plan.exclusion_zones:
         others.append(("keep_out_m", 0.0, "circles of the plan"))
     if rover.motors is not None:
-        others.append(("motor_load", 1.0, "what the motors give for long"))
+        others.append(("motor_load", 1.0, "the rover's motors, what they give for long"))
     if prediction.power is not None and rover.power is not None:
         others.append(("battery_charge", rover.power.least_charge, "the rover's battery"))
     return (*of_rover, *(Limit(name, QUANTITIES[name], value, source, False) for name, value, source in others))

@@ -398,7 +398,8 @@ def _reason(judgement: Judgement, members: int) -> str:
         )
     if judgement.sense == "at least":
         return f"{judgement.quantity}: {name} {judgement.kept:.3g} is less than the limit {judgement.limit:g}"
-    return f"{judgement.quantity}: {name} {judgement.kept:.3g} exceeds the limit {judgement.limit:g}"
+    meaning = "; at 1 wheels turn and the rover stays, or slides back" if judgement.quantity == "slip_ratio" else ""
+    return f"{judgement.quantity}: {name} {judgement.kept:.3g} exceeds the limit {judgement.limit:g}{meaning}"
 
 
 def _crossed(one: Encounter, members: int) -> str:

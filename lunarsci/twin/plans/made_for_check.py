@@ -240,11 +240,13 @@ class MadeForCheck:
 
     def _judged_by_rover(self, plan: Plan, path: str | None) -> Plan:
         limits = limits_of_rover(plan.limits, self.rover)
-        if limits == plan.limits:
-            return plan
-        changed = [f"{limit.quantity} {limit.limit:.3g}" for limit in limits if limit not in plan.limits]
-        what = f"{EMBEDDED}, made for Yutu-2," if path is None else f"{path} has no [limits] and"
-        self.say(f"{what} is judged by limits that follow from {self.description.origin}: {', '.join(changed)}")
+        pairs = zip(limits, plan.limits, strict=True)
+        changed = [
+            f"{one.quantity} {one.limit:.3g}" for one, given in pairs if not math.isclose(one.limit, given.limit)
+        ]
+        if changed:
+            what = f"{EMBEDDED}, made for Yutu-2," if path is None else f"{path} has no [limits] and"
+            self.say(f"{what} is judged by limits that follow from {self.description.origin}: {', '.join(changed)}")
         return replace(plan, limits=limits)
 
     def _changed(self, made: MadeFor) -> str:

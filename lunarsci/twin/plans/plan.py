@@ -95,18 +95,18 @@ def _embedded_plan() -> str:
 def rover_limits(rover: Rover) -> tuple[Limit, ...]:
     """What is safe of a rover where a plan does not say: slip, side slip, sinkage, tilt and clearance.
 
-    Sinkage a third of the wheel's radius, tilt the steepest slope of the rover file, the others as in the embedded
-    plan: all assumed, as no mission published its thresholds.
+    Tilt is the steepest slope of the rover file, assumed where the file says so. Sinkage a third of the wheel's radius,
+    and the others as in the embedded plan, are assumed, as no mission published its thresholds.
     """
+    slope = rover.max_slope_source
     of_rover = {
-        "sinkage_m": (SINKAGE_IN_RADII * rover.wheel.radius_m, "a third of the wheel radius"),
-        "tilt_deg": (rover.max_slope_deg, "the steepest slope of the rover's limits, taken as a limit of the tilt"),
+        "sinkage_m": (SINKAGE_IN_RADII * rover.wheel.radius_m, "a third of the wheel radius", True),
+        "tilt_deg": (rover.max_slope_deg, f"the rover's max_slope_deg ({slope or 'assumed'})", not slope),
     }
     limits = []
     for limit in default_limits():
-        value, source = of_rover.get(limit.quantity, (limit.limit, limit.source))
-        same = math.isclose(limit.limit, value, rel_tol=1e-9)
-        limits.append(limit if same else replace(limit, limit=value, source=source, assumed=True))
+        value, source, assumed = of_rover.get(limit.quantity, (limit.limit, limit.source, limit.assumed))
+        limits.append(replace(limit, limit=value, source=source, assumed=assumed))
     return tuple(limit for limit in limits if limit.quantity != "endpoint_miss_m")
 
 

@@ -150,7 +150,7 @@ def check_telemetry_columns(file: str, names: list[str], rover: Rover, *, placed
     if others or missing:
         wheel = f"'{', '.join(others[:1])}' is no wheel of {rover.name}, which has {', '.join(rover.wheels)}"
         columns = f"columns are missing: {', '.join(missing)}; steered_W_deg is 0 for wheels that stay straight"
-        hint = "`lunarsci template telemetry` has all; or give the `rover` that has these wheels"
+        hint = "`lunarsci template telemetry --rover FILE` has all; or give the `rover` that has these wheels"
         raise DataError(f"{file}: {wheel if others else columns}; {hint}")
 
 

@@ -2,6 +2,7 @@
 
 import io
 from contextlib import redirect_stdout
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -10,6 +11,7 @@ import pytest
 from lunarsci.spectra_data import make_kinds, make_normative
 from lunarsci.spectra_data.make_normative import RIDGE, learn_regression, plagioclase_norm_wt
 
+from lunarsci.spectra.abundance.kinds import KINDS, NOT_DETERMINED
 from lunarsci.spectra.abundance.normative import FEATURES, embedded_regressions, normative
 from lunarsci.spectra.spectrum import Spectrum
 from tests.spectra.abundance.test_kinds import find_kind
@@ -61,6 +63,17 @@ def test_what_is_no_soil_has_no_composition_and_what_lies_beyond_a_wide_one() ->
     assert not beyond.in_domain
     assert "out of domain" in beyond.status
     assert beyond.values["feo_wt"].high95 - beyond.values["feo_wt"].low95 > 10
+
+
+def test_a_soil_that_is_named_is_not_called_undecided() -> None:
+    """Alike but for their probabilities, a row each: what is likelier a rock gets no composition, and one sentence."""
+    black = Spectrum("black", CHANNELS, 0.02 + 0.03 * (CHANNELS - 450) / 1000)
+    for soil in (0.99, 0.81, 0.6, 0.4, 0.1):
+        kind = replace(find_kind(black), kind="weathered-soil" if soil > 0.8 else NOT_DETERMINED, outlier=False)
+        kind = replace(kind, probabilities=dict.fromkeys(KINDS, 0.0) | {"weathered-soil": soil, "solid-rock": 1 - soil})
+        found = normative(black, kind)
+        undecided = "not determined: rather a solid rock than a soil, as far as is known: state the kind"
+        assert (found.status == undecided) == (soil < 0.5) and (found.values == {}) == (soil < 0.5)
 
 
 @pytest.mark.reference

@@ -19,6 +19,7 @@ from lunarsci.spectra.mgm.forward import (
     clip_to_bounds,
     evaluate,
     factorise,
+    hold,
     invert,
     matrix_side,
     model_and_jacobian,
@@ -31,13 +32,11 @@ from lunarsci.spectra.mgm.levenberg_marquardt import (
     NOT_FINITE,
     Channels,
     FitProblem,
-    KernelFits,
-    coarsened,
-    correct,
     fill_lane,
     workspace_for,
 )
 from lunarsci.spectra.mgm.model import MGM_CONTINUA, continuum_basis, is_logarithmic
+from lunarsci.spectra.mgm.multistart import KernelFits, coarsened, correct
 
 GRID_NM = np.arange(450.0, 2396.0, 5.0)
 BANDS = np.array([[0.3, 0.25, -0.5], [0.92, 0.19, -0.35], [1.02, 0.05, -0.20], [1.86, 0.52, -0.25]])
@@ -157,8 +156,8 @@ def test_corrected_coarse_spectra_have_the_slope_of_the_fine_ones() -> None:
 
 
 @compiled
-def _clip(point: Any, lower: Any, upper: Any, step: Any, free: Any, crossed: Any) -> None:
-    store(crossed, 0, clip_to_bounds(point, lower, upper, step, free))
+def _clip(point: Any, lower: Any, upper: Any, step: Any, free: Any, held: Any, crossed: Any) -> None:
+    store(crossed, 0, clip_to_bounds(point, lower, upper, step, free, held))
 
 
 def test_steps_end_at_bounds_and_free_no_longer_what_would_cross_them() -> None:
@@ -166,12 +165,47 @@ def test_steps_end_at_bounds_and_free_no_longer_what_would_cross_them() -> None:
     lower, upper = np.array([-1.0, -np.inf, -1.0]), np.array([2.0, np.inf, 2.0])
     point, step, free = np.full((3, LANES), 0.5), aligned(3), aligned(3)
     step[:], free[:2] = [1.0, 1.5, 1.6, -1.5, -1.6, -9.0, 9.0, 0.0], 1.0
-    wanted, crossed = step.copy(), aligned(1)
-    _clip(point, lower, upper, step, free, crossed)
+    wanted, crossed, held = step.copy(), aligned(1), aligned(3)
+    held[:] = 0.0
+    _clip(point, lower, upper, step, free, held, crossed)
     assert step[0].tolist() == [1.0, 1.5, 1.5, -1.5, -1.5, -1.5, 1.5, 0.0]
     assert free[0].tolist() == [1.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
     assert (step[1:] == wanted[1:]).all() and (free[1] == 1.0).all() and (free[2] == 0.0).all()
     assert (crossed[0] > 0).tolist() == (free[0] == 0.0).tolist()
+    assert (held == np.array([free[0] == 0.0, [0.0] * LANES, [0.0] * LANES])).all()
+
+
+@compiled
+def _hold(matrix: Any, held: Any, later: Any, units: Any, solution: Any, free: Any, step: Any) -> None:
+    factorise(matrix, matrix_side(matrix))
+    hold(matrix, held, units, solution, free, step)
+    for p in range(free.shape[0]):
+        store(held, p, load(held, p) + load(later, p))
+    hold(matrix, held, units, solution, free, step)
+
+
+def test_a_system_is_solved_again_with_some_unknowns_given() -> None:
+    """Of ten unknowns each lane has others given, the first lane none, some of them later; by numpy without these."""
+    size, rng = 10, np.random.default_rng(2)
+    roots, right, given = (rng.normal(size=(LANES, size, size)), *rng.normal(size=(2, LANES, size)))
+    matrices = roots @ roots.transpose(0, 2, 1) + 0.1 * np.eye(size)
+    space, free, held, step = padded_matrix(size), aligned(size), aligned(size), aligned(size)
+    side = matrix_side(space)
+    for p in range(size):
+        space[p * side + p : p * side + size] = matrices[:, p, p:].T
+        space[(p + 1) * side - 4] = right[:, p]
+    free[:] = rng.random((size, LANES)) < 0.6
+    free[:, 0], step[:] = 1.0, given.T
+    later = (1.0 - free) * (rng.random((size, LANES)) < 0.5)
+    held[:] = 1.0 - free - later
+    _hold(space, held, later, aligned(size * size), aligned(size), free, step)
+    for lane in range(LANES):
+        moves, stays = free[:, lane] == 1.0, free[:, lane] == 0.0
+        matrix, wanted = matrices[lane], given[lane].copy()
+        wanted[moves] = np.linalg.solve(
+            matrix[np.ix_(moves, moves)], right[lane, moves] - matrix[np.ix_(moves, stays)] @ given[lane, stays]
+        )
+        assert np.allclose(step[:, lane], wanted, rtol=1e-8)
 
 
 GRID = GRID_NM / 1e3

@@ -11,7 +11,7 @@ import pytest
 from lunarsci.errors import DataError, LunarSciError, ParameterError
 from lunarsci.rovers import RoverDescription, read_rover
 from lunarsci.twin.plans.path import curvature_at, make_schedule
-from lunarsci.twin.plans.plan import Leg, check_plan, parse_sweep, read_plan
+from lunarsci.twin.plans.plan import Leg, check_plan, parse_sweep, read_plan, rover_limits
 from lunarsci.twin.rover import Rover, build_rover
 
 
@@ -166,6 +166,23 @@ def test_the_rover_file_is_checked() -> None:
     without = dataclasses.replace(good, tables={k: v for k, v in good.tables.items() if k != "mass"})
     with pytest.raises(DataError, match="mass"):
         build_rover(without)
+
+
+@pytest.mark.parametrize(("line", "source", "assumed"), [
+    ('{ value = 25.0, source = "tilt table, 2024" }', "(tilt table, 2024)", False),
+    ('{ value = 25.0, source = "a guess", assumed = true }', "(assumed)", True),
+    ("25.0", "([limits] of ", False),
+    (None, "(assumed)", True),
+])  # fmt: skip
+def test_a_tilt_limit_is_assumed_where_the_rover_file_says_so(
+    tmp_path: Path, line: str | None, source: str, assumed: bool
+) -> None:
+    own = tmp_path / "rover.toml"
+    own.write_text(
+        re.sub("max_slope_deg = .*", "" if line is None else f"max_slope_deg = {line}", read_rover("yutu2").text)
+    )
+    limit = next(one for one in rover_limits(build_rover(str(own))) if one.quantity == "tilt_deg")
+    assert limit.assumed == assumed and source in limit.source
 
 
 @pytest.mark.parametrize(("limit", "says"), [
