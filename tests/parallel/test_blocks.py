@@ -109,6 +109,18 @@ def test_blocks_for_other_options_are_refused_with_what_differs(tmp_path: Path) 
     assert list(tmp_path.iterdir()) == []
 
 
+def test_blocks_of_another_version_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Numbers of two programs do not mix."""
+    with monkeypatch.context() as patch:
+        patch.setattr("lunarsci.parallel.blocks.build", lambda: ("0.1.0 (0123)", ""))
+        with pytest.raises(ParameterError), computing(keep=tmp_path / "out.csv"):
+            collected(failing_at)
+    with pytest.raises(OutputError, match=r"lunarsci: 0\.1\.0 \(0123\), not "), computing(keep=tmp_path / "out.csv"):
+        collected()
+    with computing(keep=tmp_path / "out.csv", force=True):
+        assert np.array_equal(collected(), EXPECTED)
+
+
 def test_a_damaged_block_is_computed_again(tmp_path: Path) -> None:
     kept = SavedBlocks(tmp_path / "k", ABOUT, TOTAL, ROWS)
     for block in kept.blocks[:4]:
