@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from lunarsci.printable import printable
 from lunarsci.provenance import plain
+from lunarsci.result import as_named
 
 from .shared.emit import answers_of
 from .shared.table import NOTES, TextTable, render, terminal_width
@@ -35,7 +36,7 @@ def as_text(result: Result) -> str:
     """What the command prints, with what it says on stderr; the plain table where there is no such command."""
     tables = _tables(result)
     text = str(result.to_table()) + "\n" if tables is None else render(tables, terminal_width())
-    return "\n".join([text, *result.failures, *filter(None, (result.untrusted,))]).rstrip("\n")
+    return as_named("\n".join([text, *result.failures, *filter(None, (result.untrusted,))]).rstrip("\n"))
 
 
 def as_html(result: Result) -> str:
@@ -108,4 +109,4 @@ def _html_of(table: TextTable) -> str:
 
 
 def _cell(text: str) -> str:
-    return escape(printable(text))
+    return escape(printable(as_named(text)))

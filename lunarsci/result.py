@@ -9,6 +9,7 @@ import dataclasses
 import functools
 import inspect
 import io
+import os
 import re
 import sys
 import warnings
@@ -403,23 +404,29 @@ def _room() -> "TemporaryDirectory[str]":
 
 
 def in_a_file(name: str, value: Any) -> Any:
-    """The file of a result, or of a terrain in memory, for a job that reads files; any other value as it is.
+    """The file of a result, or of a terrain or track in memory, for a job that reads files; any other value as it is.
 
-    A terrain is (x, y, heights (ny, nx)) in metres, or a table of nodes.
+    A terrain is (x, y, heights (ny, nx)) in metres, or a table of nodes; a track is a table.
     """
     contents: Mapping[str, Callable[[], bytes]] = {}
     if isinstance(value, Result):
         contents = value.as_input()
-    elif name == "terrain" and hasattr(value, "to_csv"):
-        contents = {"terrain.csv": lambda: value.to_csv(index=False).encode()}
+    elif name in ("terrain", "track") and hasattr(value, "to_csv"):
+        contents = {f"{name}.csv": lambda: value.to_csv(index=False).encode()}
     elif name == "terrain" and isinstance(value, tuple | list) and len(value) == 3:
         contents = {"terrain.npz": lambda: _archive(value)}
     if not contents:
         return value
-    folder = Path(mkdtemp(dir=_room().name))
+    folder = Path(mkdtemp(dir=_room().name)) / (value.schema.partition("/")[0] if isinstance(value, Result) else name)
+    folder.mkdir()
     for file, make in contents.items():
         (folder / file).write_bytes(make())
     return str(folder / next(iter(contents)) if len(contents) == 1 else folder)
+
+
+def as_named(text: str) -> str:
+    """A text without the folders in which files of results in memory lie."""
+    return re.sub(re.escape(f"{_room().name}{os.sep}") + r"\w+[/\\]([\w-]+[/\\])?", "", text)
 
 
 def _archive(nodes: Sequence[Any]) -> bytes:

@@ -26,6 +26,7 @@ def test_results_go_where_their_files_go(files: Path) -> None:
     of_result = lunarsci.update(states, particles=32, seed=1)
     of_file = lunarsci.update(files / "states.csv", particles=32, seed=1)
     assert of_result.belief.mean.tolist() == of_file.belief.mean.tolist()
+    assert "Soil after states.csv: " in str(of_result) and "<b>Soil after states.csv: " in of_result._repr_html_()
     predicted = lunarsci.predict(files / "plan.toml", soil=of_result, members=16)
     assert predicted.prediction.members == 16
     assert "1 drive" in predicted.inputs.soil_notes(16, 0)[0]
