@@ -44,7 +44,9 @@ def as_html(result: Result) -> str:
     tables = _tables(result) or [_rows_of(result)]
     content, record = result.content(), result.provenance().to_dict(time=False)
     answers, _ = answers_of(result, content, tables, record)
-    doubts = [f"<b>{_cell(text)}</b>" for text in (result.untrusted, *map(str, result.failures[:NOTES])) if text]
+    verdict = result.untrusted.partition(":")[0].casefold()
+    untrusted = "" if any(text.casefold().startswith(verdict) for text in answers) else result.untrusted
+    doubts = [f"<b>{_cell(text)}</b>" for text in (untrusted, *map(str, result.failures[:NOTES])) if text]
     lines = "".join(f"<p>{line}</p>" for line in (*map(_cell, answers), *doubts))
     main = next((table for table in tables if table.headers), None)
     if main is None:
