@@ -21,7 +21,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray, huber_weights, robust_fit
 from lunarsci.errors import ParameterError
-from lunarsci.heights.grid import ERROR_LAYERS
+from lunarsci.heights.grid import ERROR_LAYERS, layers_on
 from lunarsci.heights.grids import check_relief, geotiff_bytes, read_grid
 from lunarsci.ranges import refuse
 
@@ -120,6 +120,11 @@ class ElevationModel:
         (ny, nx)"""
         values = getattr(self, key)
         return np.array(np.broadcast_to(np.nan if values is None else values, self.height_m.shape), dtype=float)
+
+    def layers(self) -> dict[str, tuple[tuple[str, ...], FloatArray]]:
+        """Axes, heights and the errors that are known, as `Result.layers` has them."""
+        given = [key for key in ("height_m", *ERROR_LAYERS) if getattr(self, key) is not None]
+        return layers_on(self.x_m, self.y_m, {key: self.layer(key) for key in given})
 
     def at(self, key: str, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> FloatArray:
         """A layer between its nodes, bilinear; NaN outside and where one of the four is unknown.

@@ -88,6 +88,9 @@ class MergedStations(Result):
             rows.append(row)
         return rows
 
+    def layers(self) -> dict[str, Any]:
+        return self.merged.model.layers()
+
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.images.figures import merge_page
 
