@@ -137,20 +137,33 @@ class LocateRequest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MergeRequest:
-    """How models are laid together.
+    """How models, or pairs, are laid together.
 
     Attributes
     ----------
     positions : Where each model belongs, in their order: CSV with x_m, y_m, z_m and xx_m2, xy_m2, yy_m2, zz_m2 or
         sigma_m. Without it they share a frame.
-    spacing : Distance of the map's nodes, in m; that of the finest model by default.
+    spacing : Distance of the map's nodes, in m; that of the finest model, or 0.02 m, by default.
+    rig : The cameras of all folders: a name or a file as of `dem`. Without it each folder's rig.toml.
+    farthest : Largest range that is gridded, in m.
+    drift : Error of dead reckoning as a share of the way between stations (assumed).
+    heading_error : Error of the headings of the rover from station to station, in deg (assumed).
+    tilt_error : Error of the rover's level at each station, in deg (assumed).
+    mast_error : Error of the mast's angles from pair to pair of one station, in deg (assumed).
     """
 
     positions: str | Any | None = None
     spacing: float | None = None
+    rig: str | None = None
+    farthest: float | None = None
+    drift: float = 0.03
+    heading_error: float = 1.0
+    tilt_error: float = 0.3
+    mast_error: float = 0.2
 
     def __post_init__(self) -> None:
-        check_intervals(self, {"(0, 1000)": "spacing"})
+        check_intervals(self, {"(0, 1000)": "spacing", "(0, 10000)": "farthest", "(0, 1]": "drift"})
+        check_intervals(self, {"(0, 45]": "heading_error", "(0, 20]": "tilt_error", "[0, 20]": "mast_error"})
 
 
 Law = Literal["lommel-seeliger", "hapke"]
