@@ -383,12 +383,12 @@ def _lay(numbers, place, values, disparity, jump, total, weight):  # type: ignor
             far = min(min(disparity[a], disparity[b]), min(disparity[c], disparity[d]))
             if near - far > jump * near:
                 continue
-            _triangle(place, values, a, b, c, _between(place, values, disparity, a, c), total, weight)
-            _triangle(place, values, b, c, d, _between(place, values, disparity, b, d), total, weight)
+            _triangle(place, values, a, b, c, _fall(place, values, disparity, a, c), total, weight)
+            _triangle(place, values, b, c, d, _fall(place, values, disparity, b, d), total, weight)
 
 
 @compiled(error_model="numpy")
-def _between(place, values, disparity, a, c):  # type: ignore[no-untyped-def]
+def _fall(place, values, disparity, a, c):  # type: ignore[no-untyped-def]
     """Variance that the ground between two pixels of neighbouring rows adds to the mean of a cell, of which it is at
     most all: a height anywhere between 0 and h has a mean square of h^2 / 3. [m2]"""
     fall = (values[c, 0] - values[a, 0]) * (1.0 if disparity[c] > disparity[a] else -1.0)

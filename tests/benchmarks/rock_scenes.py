@@ -350,7 +350,7 @@ def teach(crops: Crops, rounds: int, channels: int = 24) -> RockNetwork:
 
 
 def odds_of(folder: Path, seeds: list[int], network: RockNetwork) -> np.ndarray:
-    """`RockNetwork.odds`: a logistic regression on scores of ground, and the highest of each rock, both weighed alike."""
+    """`RockNetwork.odds`: a logistic regression on scores of ground and the highest of each rock, weighed alike."""
     from sklearn.linear_model import LogisticRegression
 
     high, true = [], []
