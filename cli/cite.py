@@ -19,9 +19,8 @@ EXAMPLES = (
 def cite(results: Results) -> Report:
     """What to cite for results, as BibTeX: lunarsci, the sources that they name, and the data behind their tables.
 
-    Data are laboratory spectra, catalogues of craters, and sources of priors. Where authors or a title are not known
-    to lunarsci, the DOI of an entry leads to them. --csv and --json have the sources as a table, -o FILE.bib writes
-    the entries.
+    Data are laboratory spectra, catalogues of craters, and sources of priors. An entry whose authors or title lunarsci
+    does not know has its DOI. --csv and --json give the sources as a table, -o FILE.bib writes the entries.
     """
     from lunarsci.guide.cite import cite
 

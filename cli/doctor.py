@@ -21,9 +21,9 @@ EXAMPLES = (
 def doctor(output: Output) -> Report:
     """Whether lunarsci works here: versions, extras, compiled code, threads, and a small test of each part.
 
-    The tests compare with what is known: made-up bands, a published wheel load, where a short drive ends. They take a
-    few seconds, and a minute where code is compiled for the first time. What bands, fit, forces, identify and predict
-    need is compiled from then on. Exit code 3: something is off.
+    The tests use known answers: made-up bands, a published wheel load, the end of a short drive. They take a few
+    seconds. The first run takes a minute, since it compiles what bands, fit, forces, identify and predict need. Exit
+    code 3: a test failed.
     """
     from lunarsci.guide.doctor import doctor
 

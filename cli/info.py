@@ -22,11 +22,11 @@ EXAMPLES = (
 def info(file: File) -> Report:
     """What a file is, what is in it, and which commands take it.
 
-    Spectra, image cubes, pictures, terrains, plans, missions, rovers, soils, beliefs, telemetry, wheel states,
-    catalogues and results are known. Exit code 3: it is one of these, but commands would refuse it, and why.
+    Known are spectra, image cubes, pictures, terrains, plans, missions, rovers, soils, beliefs, telemetry, wheel
+    states, catalogues and results. Exit code 3: the commands would refuse this file; the reason is printed.
 
-    --field result.KEY… or provenance.KEY… of a stored result prints a value of it, without computing anything again;
-    exit code 3 where there is no value, or one that is not to be used. Of a batch of fits only that spectrum counts.
+    --field result.KEY… or provenance.KEY… prints a value of a stored result. Exit code 3: there is no value, or it is
+    not to be used. In a batch of fits only the spectrum of that value counts.
     """
     from lunarsci.guide.info import info
 

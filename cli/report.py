@@ -36,9 +36,9 @@ EXAMPLES = (
 def report(results: Results, request: ReportRequest) -> Report:
     """Results of other commands as one HTML page that needs no network: -o PAGE.html.
 
-    Each result is a section: its answer in a sentence, pictures, what it does not know, what was assumed, its error
-    budget, numbers, and where they come from. On top is the answer of each; below, what to cite. The ground and the
-    drives on it can be turned. Without -o the answers are printed.
+    Each result is a section: its answer in a sentence, pictures, what is not known, what was assumed, its error budget,
+    its numbers and their sources. The top of the page has all answers, its end what to cite. The ground and the drives
+    on it can be turned. Without -o the answers are printed.
     """
     from lunarsci.pages.job import report
 

@@ -29,10 +29,11 @@ EXAMPLES = (
 
 @command("reproduce", EXAMPLES, OPTIONS, blocks=SPREAD)
 def reproduce(request: ReproduceRequest, output: Output) -> Report:
-    """Numbers of Ding et al. (2024) beside what lunarsci makes of what they publish, with a verdict on each.
+    """Numbers of Ding et al. (2024) beside what follows from what they publish, with a verdict on each.
 
-    -v prints the reading and the evidence of each number, --plot FILE.pdf draws the paper's figures. The paper comes
-    without its measured spectra and its terrain; with --boulders more of the numbers of the rock can be looked at.
+    -v prints the reading and the evidence of each number, --plot FILE.pdf draws the paper's figures. The measured
+    spectra and the terrain of the paper are not public; --boulders takes spectra of boulders for more numbers of the
+    rock.
     """
     from lunarsci.reproduce.job import reproduce
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from html import escape
 from importlib import import_module
@@ -9,8 +10,11 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 from lunarsci.printable import printable
+from lunarsci.provenance import plain
+from lunarsci.result import as_named
 
-from .shared.table import TextTable, render, terminal_width
+from .shared.emit import answers_of
+from .shared.table import NOTES, TextTable, render, terminal_width
 
 if TYPE_CHECKING:
     from lunarsci.result import Result
@@ -24,23 +28,65 @@ SHOWN_BY = {
 }
 """Results whose `result_tables` are not those of the command that their schema names."""
 
+ROWS = 12
+"""Rows of a table that a notebook shows before it is unfolded."""
+
 
 def as_text(result: Result) -> str:
     """What the command prints, with what it says on stderr; the plain table where there is no such command."""
     tables = _tables(result)
     text = str(result.to_table()) + "\n" if tables is None else render(tables, terminal_width())
-    return "\n".join([text, *result.failures, *filter(None, (result.untrusted,))]).rstrip("\n")
+    return as_named("\n".join([text, *result.failures, *filter(None, (result.untrusted,))]).rstrip("\n"))
 
 
 def as_html(result: Result) -> str:
-    """The same tables for a notebook, what should be known first."""
-    tables = _tables(result)
-    untrusted = [f"<b>{_cell(result.untrusted)}</b>"] if result.untrusted else []
-    lines = "".join(f"<p>{line}</p>" for line in (*untrusted, *map(_cell, result.failures)))
-    if tables is None:
-        shown: str = result.to_table()._repr_html_()
-        return lines + shown
-    return lines + "".join(map(_html_of, tables))
+    """What a notebook shows: the answer, why it is in doubt, the first table, the picture, and all tables folded."""
+    tables = _tables(result) or [_rows_of(result)]
+    content, record = result.content(), result.provenance().to_dict(time=False)
+    answers, _ = answers_of(result, content, tables, record)
+    verdict = result.untrusted.partition(":")[0].casefold()
+    untrusted = "" if any(text.casefold().startswith(verdict) for text in answers) else result.untrusted
+    doubts = [f"<b>{_cell(text)}</b>" for text in (untrusted, *map(str, result.failures[:NOTES])) if text]
+    lines = "".join(f"<p>{line}</p>" for line in (*map(_cell, answers), *doubts))
+    main = next((table for table in tables if table.headers), None)
+    if main is None:
+        return lines + "".join(map(_html_of, tables)) + _picture_of(result)
+    first = dataclasses.replace(main, rows=main.rows[:ROWS], notes=main.notes[:NOTES], total=main.count)
+    whole = len(tables) == 1 and main.count <= ROWS and len(main.notes) <= NOTES
+    rest = "" if whole else f"<details><summary>{_more(main)}</summary>{''.join(map(_html_of, tables))}</details>"
+    return lines + _html_of(first) + _picture_of(result) + rest
+
+
+def _more(main: TextTable) -> str:
+    """What is to be seen where a reader unfolds it."""
+    return f"more of {main.count:,} rows, and all notes" if main.count > ROWS else "all tables and notes"
+
+
+def _picture_of(result: Result) -> str:
+    """The first page of `--plot`; where it cannot be drawn, why."""
+    from lunarsci.figure import inline_picture
+
+    try:
+        source = inline_picture(result.figures())
+    except Exception as error:  # a picture that fails is no reason to show nothing
+        return f"<p><small>no picture: {_cell(str(error) or type(error).__name__)}</small></p>"
+    return (
+        f'<img src="{source}" alt="{_cell(result.page_title or result.schema)}" style="max-width: 100%">'
+        if source
+        else ""
+    )
+
+
+def _rows_of(result: Result) -> TextTable:
+    """The first rows of a result without tables of its own."""
+    rows = [plain(row) for row in result.answers()[:ROWS]]
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    cells = [["-" if (value := row.get(name)) is None else _short(value) for name in names] for row in rows]
+    return TextTable(names, cells, total=len(result.answers()))
+
+
+def _short(value: object) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _tables(result: Result) -> Sequence[TextTable] | None:
@@ -59,9 +105,10 @@ def _html_of(table: TextTable) -> str:
     head = "".join(f"<th>{_cell(header)}</th>" for header in table.headers)
     rows = "".join(f"<tr>{''.join(f'<td>{_cell(cell)}</td>' for cell in row)}</tr>" for row in table.shown)
     grid = f"<table>{title}<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>" if table.headers else title
-    notes = "<br>".join(map(_cell, (*table.left_out, *table.notes)))
+    more = [f"… and {more:,} more rows: to_pandas() has all"] if (more := table.count - len(table.shown)) > 0 else []
+    notes = "<br>".join(map(_cell, (*more, *table.notes)))
     return grid + (f"<p><small>{notes}</small></p>" if notes else "")
 
 
 def _cell(text: str) -> str:
-    return escape(printable(text))
+    return escape(printable(as_named(text)))

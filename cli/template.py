@@ -30,13 +30,13 @@ EXAMPLES = (
 
 @command("template", EXAMPLES)
 def template(kind: Kind, rover: Wheels = None) -> Report:
-    """A file to begin with, every key with its meaning, unit and a value; commands take it as it is.
+    """A file to begin with: every key has its meaning, its unit and a value. Commands take it as it is.
 
-    What may be left out stands after a #. Change the numbers to yours; `lunarsci info FILE` says whether the file is
-    still right.
+    Keys after a # may be left out. Change the numbers to yours; `lunarsci info FILE` says whether the file is still
+    right.
     """
     from lunarsci.guide.template import template
 
     made = template(kind, rover)
-    own = {Path(made.name).suffix: lambda _: made.text.encode()}
-    return Report(made, [TextTable([], [], title=made.name)], raw=lambda: made.text, formats=own)
+    by_suffix = {Path(made.name).suffix: lambda _: made.text.encode()}
+    return Report(made, [TextTable([], [], title=made.name)], raw=lambda: made.text, formats=by_suffix)

@@ -7,8 +7,9 @@ Every main job of the command line is a function here, with the same defaults, r
 * `cite`: what to cite for results, as BibTeX; `report`: a page of results. `computing` says where jobs are computed.
 
 Each takes paths, open files, tables or arrays, and options by name, which its help lists. Each gives a `Result`:
-`print` shows the text of the command, `.to_table()` is an astropy QTable, `.plot()` a matplotlib Figure, `.to_dict()`
-the `result` of `--json`, `.untrusted` why it should not be trusted, `.doubt` the same reason by reason. Jobs are
+`print` shows the text of the command, a notebook its answer, table and picture; `.to_table()` is an astropy QTable,
+`.to_pandas()` a DataFrame, `.to_xarray()` a grid, `.plot()` a matplotlib Figure, `.to_dict()` the `result` of `--json`,
+`.untrusted` why it should not be trusted, `.doubt` the same reason by reason. Jobs are
 imported when they are first named. Other commands, such as `spectra map` and `info`, are on the command line alone.
 """
 

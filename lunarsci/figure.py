@@ -1,5 +1,6 @@
 """One style for every picture, and figures as file contents, the same bytes for the same figure."""
 
+import base64
 import io
 import re
 import textwrap
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
 
 _DATELESS = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
 DPI = 200
+INLINE_DPI = (100, 75, 50, 25)
+LARGEST_INLINE = 150_000
+"""Points per inch of pictures in notebooks, the first with which one has at most so many bytes: 200 kB as text."""
 PAGE_IN = 7.2
 """Width of a page of pictures, two columns of a journal (Nature: 183 mm), so that a point is a point in print."""
 TALLEST_IN = 9.4
@@ -285,6 +289,28 @@ def _rendered(figures: "Iterable[Figure]", target: Path, suffix: str) -> bytes:
     return content
 
 
+def inline_picture(figures: "Iterable[Figure]") -> str:
+    """The first figure as the source of an image in HTML, at most `LARGEST_INLINE` long; '' where there is none.
+
+    In 256 colours where all of them would take more, and then in fewer points.
+    """
+    with styled():
+        first = next(iter(figures), None)
+        small = next((one for one in _smaller(first) if len(one) <= LARGEST_INLINE), b"") if first is not None else b""
+    return f"data:image/png;base64,{base64.b64encode(small).decode()}" if small else ""
+
+
+def _smaller(figure: "Figure") -> Iterator[bytes]:
+    from PIL import Image
+
+    for dpi in INLINE_DPI:
+        content = _one(figure, ".png", dpi=dpi)
+        yield content
+        palette = io.BytesIO()
+        Image.open(io.BytesIO(content)).convert("RGB").quantize(256).save(palette, "png", optimize=True)
+        yield palette.getvalue()
+
+
 def _headline_of(figure: "Figure", number: int) -> str:
     """What is above all panels of a page, or above the first, else its number."""
     titles = (figure.get_suptitle(), *(one.get_title() for one in figure.axes[:1]))
@@ -292,9 +318,9 @@ def _headline_of(figure: "Figure", number: int) -> str:
     return f"page {number}{f' ({title})' if title else ''}"
 
 
-def _one(figure: "Figure", suffix: str) -> bytes:
+def _one(figure: "Figure", suffix: str, dpi: float = DPI) -> bytes:
     buffer = io.BytesIO()
-    figure.savefig(buffer, format=suffix[1:], dpi=DPI, metadata=_DATELESS[suffix])
+    figure.savefig(buffer, format=suffix[1:], dpi=dpi, metadata=_DATELESS[suffix])
     return buffer.getvalue()
 
 

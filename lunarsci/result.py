@@ -9,6 +9,7 @@ import dataclasses
 import functools
 import inspect
 import io
+import os
 import re
 import sys
 import warnings
@@ -26,10 +27,13 @@ from lunarsci.figure import styled
 from lunarsci.minerals import WITH_BANDS
 from lunarsci.options import options_text, request_of
 from lunarsci.provenance import Provenance, document, plain, to_json
+from lunarsci.ranges import refuse
 
 if TYPE_CHECKING:
     from astropy.table import QTable
     from matplotlib.figure import Figure
+    from pandas import DataFrame
+    from xarray import Dataset
 
 
 Given = ParamSpec("Given")
@@ -189,7 +193,8 @@ FIRST = 4
 class Result(ABC):
     """What a job found; a job's own result says `to_dict`, `rows`, `figures`, `made_from` and `doubt`.
 
-    `print` shows the text of its command, a notebook its tables; `len` and an index give its rows, one of each thing.
+    `print` shows the text of its command, a notebook answer, table and picture; `len` and an index give its rows, one
+    of each thing.
 
     Of many things alike it has `content` instead of `to_dict`, and gives their `Records` there and as `rows`.
 
@@ -311,10 +316,33 @@ class Result(ABC):
                 table[name].info.description = meant[2]
         return table
 
-    def to_json(self, *, time: bool = True) -> str:
-        """The document of `--json`; without `time` two equal results give equal text."""
+    def to_pandas(self, *, parts: bool = True) -> "DataFrame":
+        """The same table as a DataFrame, units in the names of its columns."""
+        from pandas import DataFrame
+
+        return DataFrame([plain(row) for row in (self.answers() if parts else self.rows_each())])
+
+    def layers(self) -> Mapping[str, tuple[tuple[str, ...], Any]]:
+        """Of a grid its axes, which are named as themselves, and what lies on them: names of axes, and values."""
+        return {}
+
+    def to_xarray(self) -> "Dataset":
+        """A grid as a Dataset: heights, maps of ground, designs. Raises ParameterError where there is no grid."""
+        layers = self.layers()
+        refuse({f"a {type(self).__name__} is no grid; to_pandas() has its table": not layers})
+        try:
+            from xarray import Dataset
+        except ImportError as error:
+            raise ParameterError("grids need xarray; pip install 'lunarsci[cubes]'") from error
+        made = {name: (axes, values, {"units": unit_of(name)}) for name, (axes, values) in layers.items()}
+        return Dataset(made, attrs={"schema": f"lunarsci/{self.schema}"}).set_coords(
+            [name for name, (axes, _) in layers.items() if axes == (name,)]
+        )
+
+    def provenance(self) -> Provenance:
+        """What it was made from, with what, and what is in doubt."""
         made = self.made_from
-        provenance = Provenance(
+        return Provenance(
             command=self.asked.command if self.asked else f"lunarsci.{type(self).__name__}",
             options=(dict(self.asked.options) if self.asked else {}) | dict(made.options),
             inputs=made.inputs,
@@ -325,7 +353,10 @@ class Result(ABC):
             untrusted=self.untrusted,
             failures=self.failures,
         )
-        return to_json(document(self.schema, self.content(), provenance.to_dict(time=time)))
+
+    def to_json(self, *, time: bool = True) -> str:
+        """The document of `--json`; without `time` two equal results give equal text."""
+        return to_json(document(self.schema, self.content(), self.provenance().to_dict(time=time)))
 
     def plot(self, page: int = 0) -> "Figure":
         """A page of `--plot`, from 0. Raises ParameterError where there is no such page."""
@@ -373,23 +404,29 @@ def _room() -> "TemporaryDirectory[str]":
 
 
 def in_a_file(name: str, value: Any) -> Any:
-    """The file of a result, or of a terrain in memory, for a job that reads files; any other value as it is.
+    """The file of a result, or of a terrain or track in memory, for a job that reads files; any other value as it is.
 
-    A terrain is (x, y, heights (ny, nx)) in metres, or a table of nodes.
+    A terrain is (x, y, heights (ny, nx)) in metres, or a table of nodes; a track is a table.
     """
     contents: Mapping[str, Callable[[], bytes]] = {}
     if isinstance(value, Result):
         contents = value.as_input()
-    elif name == "terrain" and hasattr(value, "to_csv"):
-        contents = {"terrain.csv": lambda: value.to_csv(index=False).encode()}
+    elif name in ("terrain", "track") and hasattr(value, "to_csv"):
+        contents = {f"{name}.csv": lambda: value.to_csv(index=False).encode()}
     elif name == "terrain" and isinstance(value, tuple | list) and len(value) == 3:
         contents = {"terrain.npz": lambda: _archive(value)}
     if not contents:
         return value
-    folder = Path(mkdtemp(dir=_room().name))
+    folder = Path(mkdtemp(dir=_room().name)) / (value.schema.partition("/")[0] if isinstance(value, Result) else name)
+    folder.mkdir()
     for file, make in contents.items():
         (folder / file).write_bytes(make())
     return str(folder / next(iter(contents)) if len(contents) == 1 else folder)
+
+
+def as_named(text: str) -> str:
+    """A text without the folders in which files of results in memory lie."""
+    return re.sub(re.escape(f"{_room().name}{os.sep}") + r"\w+[/\\]([\w-]+[/\\])?", "", text)
 
 
 def _archive(nodes: Sequence[Any]) -> bytes:

@@ -56,7 +56,7 @@ def test_no_sentence_stands_in_two_pages() -> None:
 
 
 SENTENCE = re.compile(r"(?<=[.?!])[)*]* (?=[A-Z`*\[(\d$])")
-LONGEST = 60
+LONGEST = 50
 """Words of a sentence; links, equations and tables are not counted."""
 
 

@@ -1,6 +1,7 @@
 """Results of jobs as tables, HTML and JSON; requests as options of a command."""
 
 import ast
+import base64
 import importlib
 import inspect
 import io
@@ -23,10 +24,12 @@ from lunarsci.cli import command_line, main
 from lunarsci.cli.shared.command import command
 from lunarsci.cli.shared.emit import Report
 from lunarsci.cli.shared.options import option
+from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 import lunarsci
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
+from lunarsci.figure import inline_picture
 from lunarsci.io.inputs import read_input
 from lunarsci.options import TYPED, request_of
 from lunarsci.regolith.jobs.requests import WheelForcesRequest
@@ -278,6 +281,71 @@ def test_a_result_prints_as_its_command(capsys: pytest.CaptureFixture[str]) -> N
     html = found._repr_html_()
     assert "<th>" in html and "drawbar pull" in html
     assert len(repr(found)) < 200
+
+
+PNG = re.compile('<img src="data:image/png;base64,([^"]+)"')
+
+
+def test_a_notebook_shows_answer_table_and_picture() -> None:
+    """A picture of the width of a page at 100 points per inch, from base64; the rows that are left out are counted."""
+    found = lunarsci.wheel_forces(load=36.5, slip="0:0.5:90")
+    html = found._repr_html_()
+    assert html.index("<p>") < html.index("<table>") < html.index("<img") < html.index("<details>")
+    first, _, folded = html.partition("<details>")
+    assert first.count("<tr>") == 1 + 12 and "78 more rows: to_pandas() has all" in first
+    assert folded.count("<tr>") > 90 and "more of 90 rows" in folded and "more rows" not in folded
+    width = int.from_bytes(base64.b64decode(PNG.findall(html)[0])[16:20], "big")
+    assert width == pytest.approx(100 * found.plot().get_figwidth(), abs=1) and len(html) < 250_000
+
+
+def test_a_result_of_ten_thousand_spectra_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And its picture is one page: of spectra that nobody sees no objects are made."""
+    made: list[int] = []
+    kind = importlib.import_module("lunarsci.spectra.bands").BandsOfSpectra
+    one = kind.__getitem__
+    monkeypatch.setattr(kind, "__getitem__", lambda self, place: made.append(place) or one(self, place))
+    wavelength = np.arange(500.0, 2400.0, 20.0)
+    center = np.linspace(900, 960, 10_000)[:, None]
+    found = lunarsci.bands((wavelength, 0.2 * np.exp(-0.3 * np.exp(-0.5 * ((wavelength - center) / 60) ** 2))))
+    html = found._repr_html_()
+    assert len(html) < 250_000 and len(PNG.findall(html)) == 1 and "9,900 more rows" in html
+    assert len([place for place in made if not isinstance(place, slice)]) < 100
+    assert found.to_pandas()["bc1000_nm"].to_numpy() == pytest.approx(center[:, 0], abs=2.0)
+
+
+def test_what_cannot_be_drawn_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(self: Any) -> Any:
+        raise ValueError("no <ink>")
+        yield
+
+    found = lunarsci.wheel_forces(sinkage=0.01)
+    monkeypatch.setattr(type(found), "figures", broken)
+    assert "no picture: no &lt;ink&gt;" in (html := found._repr_html_()) and "<th>" in html
+
+
+def test_a_large_picture_is_made_smaller() -> None:
+    """Noise, which no PNG makes small: in fewer colours, then in fewer points; what is small stays as it is."""
+    noise = np.random.default_rng(0).random((900, 900, 3))
+
+    def picture(values: Any) -> Figure:
+        figure = Figure(figsize=(7.2, 7.2))
+        figure.add_axes((0, 0, 1, 1)).imshow(values)
+        return figure
+
+    assert inline_picture([]) == ""
+    plain, noisy = (inline_picture([picture(one)]) for one in (0 * noise, noise))
+    assert plain.startswith("data:image/png;base64,") and 100_000 < len(noisy) < 200_100
+    sizes = [int.from_bytes(base64.b64decode(one.partition(",")[2])[16:20], "big") for one in (plain, noisy)]
+    assert sizes[0] == 720 > sizes[1]
+
+
+def test_a_table_goes_to_pandas_and_what_is_no_grid_is_refused() -> None:
+    found = lunarsci.wheel_forces(load=36.5, slip="0:0.5:6")
+    frame = found.to_pandas()
+    assert frame["slip_ratio"].tolist() == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4, 0.5])
+    assert frame["drawbar_pull_n"].tolist() == [row["drawbar_pull_n"] for row in found.rows()]
+    with pytest.raises(ParameterError, match="is no grid; to_pandas"):
+        found.to_xarray()
 
 
 @pytest.mark.parametrize("name", [job for jobs in lunarsci.JOBS.values() for job in jobs])

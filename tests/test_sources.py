@@ -77,7 +77,7 @@ SETTINGS = {
     "how long machines are waited for, and how much memory is taken": (
         "parallel/dask_cluster.py: CONNECT_S, LONELY_S, LOOK_S", "twin/simulation/contact.py: MOST_NODES"),
     "steps, starts and ends of a search or a sum, and where floating point runs out: finer ones give the same": (
-        "images/rocks.py: LEAST", "images/rocks.py: RINGS", "images/stones.py: SMALLEST_M",
+        "images/rock_network.py: DILATIONS, SEEN_PX, STEP_PX", "images/stones.py: SMALLEST_M",
         "images/matching.py: SMALL_STEP_PX",
         "compiled/lanes.py: DOUBLES_LAYOUT", "compiled/lanes.py: SINGLES_LAYOUT",
         "heights/projections.py: STEP_M", "regolith/inference/mode.py: FIRST_SHARE, ROUNDS, SETTLED",

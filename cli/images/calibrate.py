@@ -40,7 +40,7 @@ Right = Annotated[
     typer.Option(
         "--right",
         metavar="PATTERN",
-        help="Those of the right camera: a pattern in quotes, such as 'right*.png'. Numbers in names tell moments.",
+        help="Pictures of the right camera: a pattern in quotes, such as 'right*.png'. Numbers in the names pair them.",
     ),
 ]
 EXAMPLES = (
@@ -53,9 +53,9 @@ EXAMPLES = (
 def calibrate(output: Output, pictures: Pictures, request: CalibrateCamerasRequest, right: Right = None) -> Report:
     """Camera or stereo rig from pictures of a chessboard, a grid of circles or a charuco board, with errors.
 
-    Give 12 pictures or more, with the board tilted by 30 deg each way and everywhere in the picture. With -o FILE.toml
-    the rig is written with its covariance as `images dem` reads it. The picture of --plot shows residuals, and how
-    uncertain directions are. Where the pictures leave focal length or baseline open, the exit code is 3.
+    Give 12 pictures or more, with the board tilted by 30 deg each way and everywhere in the picture. -o FILE.toml
+    writes the rig with its covariance for `images dem`. --plot shows residuals, and how uncertain directions are. Exit
+    code 3: the pictures leave focal length or baseline open.
     """
     from lunarsci.images.calibration import pictures_matching
     from lunarsci.images.jobs.calibrate_cameras import calibrate_cameras

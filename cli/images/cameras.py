@@ -44,9 +44,8 @@ EXAMPLES = (
 def cameras(output: Output, request: CamerasRequest, sources: Sources = None) -> Report:
     """Cameras and stereo rigs: intrinsics, baseline, field of view, size of a pixel and errors of ranges.
 
-    Labels are PDS4 of Chang'E's PCAM, or hold a CAHV, CAHVOR or CAHVORE model: the camera is fitted to what they say,
-    and what the fit misses is shown. Errors are those that a file states.
-    With -o FILE.toml a rig is written as the file that `images dem` reads.
+    Labels are PDS4 of Chang'E's PCAM, or have a CAHV, CAHVOR or CAHVORE model. The camera is fitted to them, and the
+    residual is shown. Errors are those that a file states. -o FILE.toml writes a rig for `images dem`.
     """
     from lunarsci.images.jobs.cameras import cameras
 

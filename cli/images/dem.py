@@ -74,9 +74,9 @@ def dem(
 ) -> Report:
     """Heights on a grid from a stereo pair, each with a random error and one that all share.
 
-    Pictures are rectified by the rig, matched by OpenCV (extra `images`), and refined by least squares that give each
-    disparity its error. Where shadow, occlusion or lack of texture leave no match there is no height, and the picture
-    of --plot says why. `images track` and `twin terrain` read the model.
+    OpenCV (extra `images`) matches the rectified pictures. Least squares refine each disparity and give its error.
+    There is no height where shadow, occlusion or a lack of texture leave no match; the picture of --plot says which it
+    was. `images track` and `twin terrain` read the model.
     """
     from lunarsci.images.jobs.dem import dem
 

@@ -39,15 +39,15 @@ EXAMPLES = (
 
 @command("locate", EXAMPLES, OPTIONS, folder=True)
 def locate(output: Output, stations: Folders, request: LocateRequest) -> Report:
-    """Where stations were, from ground that their pictures share, with errors; dead reckoning is where to begin.
+    """Where stations were, with errors, from ground that their pictures share. It begins with dead reckoning.
 
-    What the nearer of two stations sees is laid into the other one's view by its stereo points and tied to it (extra
-    `images`); all poses and the rig within its errors are then adjusted at once. A station that could not be tied stays
-    where dead reckoning puts it, and the exit code is 3.
+    The view of the nearer of two stations is projected into the other one's by its stereo points, and tied to it (extra
+    `images`). Then all poses and the rig are adjusted within their errors. A station that cannot be tied stays where
+    dead reckoning puts it, and the exit code is 3.
 
-    --csv gives the positions that `twin states` and `twin update` read as --positions. With -o DIR they go to
-    positions.csv, each pose to STATION.toml for `images dem --pose`, and the errors of elevation models made so to
-    shifts.csv for `images merge --positions`. --plot shows the ties.
+    --csv gives positions for `twin states` and `twin update` (--positions). -o DIR writes them to positions.csv, each
+    pose to STATION.toml for `images dem --pose`, and the errors of elevation models to shifts.csv for `images merge
+    --positions`. --plot shows the ties.
     """
     from lunarsci.images.jobs.locate import locate
 

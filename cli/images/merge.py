@@ -1,8 +1,9 @@
-"""`lunarsci images merge`: elevation models of several stations as one map."""
+"""`lunarsci images merge`: elevation models of several stations, or their pairs of pictures, as one map."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -17,32 +18,60 @@ from ..shared.table import TextTable, plus_minus
 if TYPE_CHECKING:
     from lunarsci.images.jobs.merge import MergedStations
 
+PAIRS = "Folders with pictures"
+ERRORS = "Errors before the pictures (assumed)"
 OPTIONS = {
     "positions": option(kind=str | None, metavar="FILE"),
-    "spacing": option(),
+    "spacing": option(show_default="that of the finest model; of pictures 0.02"),
+    "rig": option(metavar="RIG", panel=PAIRS, show_default="rig.toml of each folder, or yutu2-navcam"),
+    "farthest": option(panel=PAIRS, show_default="where its error is three cells"),
+    "drift": option(panel=ERRORS),
+    "heading_error": option(panel=ERRORS),
+    "tilt_error": option(panel=ERRORS),
+    "mast_error": option(panel=ERRORS),
 }
 Elevations = Annotated[
     list[str],
-    typer.Argument(help="Two or more files of heights with errors: .npz, GeoTIFF, ASCII or CSV.", metavar="DEM..."),
+    typer.Argument(
+        help="Two or more files of heights with errors (.npz, GeoTIFF, ASCII or CSV), or folders, each with left.png, "
+        "right.png and pose.toml.",
+        metavar="DEM...|STATION...",
+    ),
+]
+Cloud = Annotated[
+    Path | None,
+    typer.Option(
+        "--save-cloud", metavar="FILE", rich_help_panel=PAIRS, help="The points as .ply, with grey and errors."
+    ),
 ]
 EXAMPLES = (
     "lunarsci images merge dem.npz coarse.npz",
     "lunarsci images merge dem.npz coarse.npz --spacing 0.1 -o map.npz",
+    "lunarsci images merge lunarsci-demo station-2 --rig lunarsci-demo/rig.toml -o map.npz",
 )
 
 
 @command("merge", EXAMPLES, OPTIONS)
-def merge(output: Output, dems: Elevations, request: MergeRequest) -> Report:
-    """Elevation models of several stations as one map, by inverse variances, with common errors kept.
+def merge(output: Output, dems: Elevations, request: MergeRequest, cloud: Cloud = None) -> Report:
+    """Elevation models of several stations, or their pairs of pictures, as one map, with common errors kept.
 
-    Random errors shrink where models overlap; offsets and positions are found from the overlaps as far as these tell,
-    and the rest stays as common error. The picture of --plot shows where models disagree. With -o FILE.npz or .tif the
-    map is written with its errors. Where models disagree beyond their errors the exit code is 3.
+    Models: random errors shrink where they overlap. Offsets and positions follow from the overlaps; what these leave
+    open stays as common error.
+
+    Folders: all pairs are tied by what they share, and all poses and rigs are adjusted at once. What stays unknown of
+    them is the map's common error. Pairs with the same `station` in pose.toml share the rover's errors, not those of
+    the mast. A pair that cannot be tied stays where telemetry puts it, with that error.
+
+    -o FILE.npz or .tif writes the map with its errors. --plot shows where models disagree. Exit code 3: they disagree
+    beyond their errors.
     """
     from lunarsci.images.jobs.merge import merge
 
+    output.check_extra("--save-cloud", cloud, (".ply",))
     merged = merge(dems, request, progress=output.progress("merging"))
-    return Report(merged, result_tables(merged), formats={end: _writer(make) for end, make in merged.files().items()})
+    extras = {} if cloud is None else {cloud: merged.cloud_bytes}
+    formats = {end: _writer(make) for end, make in merged.files().items()}
+    return Report(merged, result_tables(merged), formats=formats, extras=extras)
 
 
 def _writer(made: Callable[[], bytes]) -> Callable[[Mapping[str, Any]], bytes]:
@@ -51,18 +80,9 @@ def _writer(made: Callable[[], bytes]) -> Callable[[Mapping[str, Any]], bytes]:
 
 def result_tables(result: MergedStations) -> list[TextTable]:
     record = result.to_dict()
-    rows = [
-        [
-            str(row["station"]),
-            row["file"],
-            plus_minus(row["offset_sigmas"], row["offset_sigmas_sigma"], digits=2),
-            *(plus_minus(1e3 * row[key], 1e3 * row[f"{key}_sigma"]) for key in ("x_m", "y_m")),
-        ]
-        for row in record["stations"]
-    ]
     terrain = record["terrain"]
     title = f"{terrain['nodes'][0]} x {terrain['nodes'][1]} nodes every {terrain['spacing_m']:g} m"
-    headers = ["station", "file", "offset [common sigmas]", "x off [mm]", "y off [mm]"]
+    headers, rows = _pairs(record) if "poses" in record else _models(record)
     pairs = [
         [
             f"{pair['first']}, {pair['second']}",
@@ -73,6 +93,34 @@ def result_tables(result: MergedStations) -> list[TextTable]:
         ]
         for pair in record["overlaps"]
     ]
-    notes = ["the terrain is synthetic"] if terrain["synthetic"] else []
     overlap = TextTable(["stations", "nodes", "median [mm]", "rms z", "beyond 3"], pairs, title="Overlaps, corrected")
-    return [TextTable(headers, rows, title=title, notes=notes), overlap]
+    return [TextTable(headers, rows, title=title, notes=result.notes()), overlap]
+
+
+def _models(record: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+    rows = [
+        [
+            str(row["station"]),
+            row["file"],
+            plus_minus(row["offset_sigmas"], row["offset_sigmas_sigma"], digits=2),
+            *(plus_minus(1e3 * row[key], 1e3 * row[f"{key}_sigma"]) for key in ("x_m", "y_m")),
+        ]
+        for row in record["stations"]
+    ]
+    return ["station", "file", "offset [common sigmas]", "x off [mm]", "y off [mm]"], rows
+
+
+def _pairs(record: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+    rows = [
+        [
+            row["station"],
+            *(plus_minus(row[f"{a}_m"], row[f"{a}{a}_m2"] ** 0.5, digits=4) for a in "xyz"),
+            plus_minus(row["camera_heading_deg"], row["camera_heading_deg_sigma"], digits=2),
+            f"{row['from_dead_reckoning_m']:.3f}",
+            f"{1e3 * row['raised_m']:.1f}",
+            "yes" if row["tied"] else "no",
+        ]
+        for row in record["stations"]
+    ]
+    headers = ["x [m]", "y [m]", "z [m]", "heading [deg]", "from telemetry [m]", "raised [mm]", "tied"]
+    return ["pair", *headers], rows

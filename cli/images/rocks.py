@@ -39,9 +39,9 @@ EXAMPLES = (PAIR, PAIR + " \\\n  --sizes 0.2 -o rocks.geojson")
 def rocks(left: Left, right: Right, output: Output, request: RocksRequest) -> Report:
     """Rocks in a stereo pair: place, size, height, with errors, how sure each is, and how many are missed.
 
-    Rocks rendered into the pictures teach what a rock looks like there, and tell how many are missed; the same search
-    with the ground upside down tells how many finds are false. With -o FILE.geojson the rocks are circles to keep out
-    of, and `twin predict` says what may have been missed on the way.
+    A small network, taught on SYNTHETIC scenes, looks for them. Stones rendered into the pictures show how many are
+    missed. With -o FILE.geojson the rocks are circles to keep out of, and `twin predict` says what may have been missed
+    on the way.
     """
     from lunarsci.images.jobs.rocks import rocks
 

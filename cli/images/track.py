@@ -44,9 +44,9 @@ EXAMPLES = (
 def track(output: Output, dem: Elevation, request: TrackRequest) -> Report:
     """Depth of a track along a line, and the sinkage that follows, with random and systematic errors apart.
 
-    The depth is that of the floor below the ground that was there before, which is found from the ground at both
-    sides. Random errors are tried on ground without a track. Where floor or ground are not covered, nothing is
-    determined, and the reason is said. The CSV is what `lunarsci twin states --track` reads.
+    The depth is that of the floor below the ground that was there before. That ground is interpolated from both sides,
+    or taken from --before. Random errors are measured on ground without a track. Where floor or ground are not covered,
+    nothing is determined, and the reason is named. `lunarsci twin states --track` reads the CSV.
     """
     from lunarsci.images.jobs.track import track
 

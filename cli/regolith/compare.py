@@ -43,11 +43,11 @@ EXAMPLES = (
 
 @command("compare", EXAMPLES, OPTIONS)
 def compare(request: CompareSoilsRequest, result: SiteResult = None) -> Report:
-    """The site beside terrestrial soils, simulants and lunar sites: who is most alike under a wheel.
+    """The site beside terrestrial soils, simulants and lunar sites: which is most alike under a wheel.
 
-    Distances are those of bearing pressure over 5-20 mm of sinkage and of shear strength over 2-10 kPa, as root
-    mean square of the logarithm: 0.1 is about 10 %. Parameters that a result does not determine are named, and
-    distances have 68 %. The picture also shows the curves of a result, and lateral shear.
+    Distances are the root mean square of the logarithm of bearing pressure over 5-20 mm of sinkage and of shear
+    strength over 2-10 kPa: 0.1 is about 10 %. Parameters that a result does not determine are named, and distances then
+    have a 68 % interval. The picture also shows the curves of a result, and lateral shear.
     """
     from lunarsci.regolith.jobs.compare_soils import compare_soils
 

@@ -55,13 +55,13 @@ EXAMPLES = (
 def forces(request: WheelForcesRequest) -> Report:
     """Forces of the soil on one wheel, from its sinkage or its load.
 
-    Slip beyond ±0.6 is said to be outside what was compared with wheels. At a slip of -1, where the wheel is locked,
-    and at a side slip of 90 deg, forces are the limits of the equations. Where cohesion alone would pull more than the
-    wheel presses, as at next to no sinkage, the exit code is 3. A sinkage of the wheel's radius or more is refused.
-    Options that only the integrals have, such as --shear, take the integrals without --exact.
+    The model was compared with wheels at slips up to ±0.6, and says so beyond. At a slip of -1 (locked wheel) and a
+    side slip of 90 deg the forces are limits of the equations. A sinkage of the wheel's radius or more is refused. Exit
+    code 3: cohesion alone would pull more than the wheel presses, as at next to no sinkage. Options that only the
+    integrals have, such as --shear, need no --exact.
 
-    With --slip FIRST:LAST:N a curve; under --load also what it is worth: pull at 20 % slip and per weight, tractive
-    efficiency, and the slope that such wheels climb.
+    With --slip FIRST:LAST:N a curve; under --load also pull at 20 % slip and per weight, tractive efficiency, and the
+    slope that such wheels climb.
     """
     from lunarsci.regolith.jobs.wheel_forces import wheel_forces
 

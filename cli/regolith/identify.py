@@ -81,8 +81,8 @@ EXAMPLES = (
 def identify(states: States, request: IdentifyRequest, output: Output) -> Report:
     """Soil parameters in three aspects (bearing, longitudinal and lateral shear) from wheel states, with errors.
 
-    Of each pair (K_s, N), (c, φ), (K_y, φ_y) what is assumed is given and the other is solved for; with both given,
-    each is solved at the other's value. `regolith infer` takes all states together.
+    Each pair (K_s, N), (c, φ), (K_y, φ_y) has one parameter that is assumed and one that is solved for. If both are
+    given, each is solved for at the other's value. `regolith infer` takes all states together.
     """
     from lunarsci.regolith.jobs.identify import identify as identify_soil
 

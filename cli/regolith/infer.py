@@ -76,8 +76,8 @@ EXAMPLES = (
 def infer(states: States, request: InferRequest, output: Output, posterior: Posterior = None) -> Report:
     """All soil parameters from all wheel states at once, as a posterior; below it what each state gives by itself.
 
-    What the options assume of a parameter is for these single states alone. Exit code 3 where no soil of the law
-    explains the states. Choices of the law that only the integrals know, such as --shear, need no --exact.
+    The options that assume a parameter are for these single states alone. Exit code 3: no soil of the law explains the
+    states. Options that only the integrals have, such as --shear, need no --exact.
     """
     from lunarsci.regolith.jobs.infer import infer as infer_soil
 

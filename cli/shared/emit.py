@@ -156,7 +156,7 @@ def emit(report: Report, output: Output, provenance: Provenance) -> int:
     if output.folder or not output.path or report.written:
         _print(text)
     else:
-        for remark in () if output.quiet else chain(*_verdicts(report, record)):
+        for remark in () if output.quiet else chain(*answers_of(report.result, report.content, report.shown, record)):
             say(remark)
     for failure in report.failures:
         say(f"error: {failure}")
@@ -202,26 +202,29 @@ def _print(text: Iterable[bytes]) -> None:
         raise OutputError(f"stdout: {error.strerror}; the result was not printed") from error
 
 
-def _verdicts(report: Report, record: Mapping[str, Any]) -> tuple[list[str], list[str]]:
+def answers_of(
+    result: "Result", content: Mapping[str, Any], tables: Sequence[TextTable], record: Mapping[str, Any]
+) -> tuple[list[str], list[str]]:
     """What a result says in a sentence each, of few spectra; else its answer on a page.
 
-    And, where nothing else is said of it, whether its command trusts it.
+    And, where nothing else is said of it, whether its command trusts it. `content` is of the result, `tables` are its
+    own for people, `record` its provenance.
     """
     from lunarsci.pages.answers import answer, answered
     from lunarsci.pages.documents import Document
 
-    made = Document("", report.result.schema, report.content, record)
-    many = max(len(report.content.get(name, ())) for name in ("spectra", "rocks"))
+    made = Document("", result.schema, content, record)
+    many = max(len(content.get(name, ())) for name in ("spectra", "rocks"))
     if answered(made.kind) is None or many > MOST_ANSWERED:
         return [], []
     verdicts: list[str] = []
-    if 0 < len(report.content.get("spectra", ())) <= MOST_VERDICTS:
-        verdicts = [note for table in report.shown if table.title == SAYS for note in table.notes]
+    if 0 < len(content.get("spectra", ())) <= MOST_VERDICTS:
+        verdicts = [note for table in tables if table.title == SAYS for note in table.notes]
     try:
         summary = answer(made)
     except DataError:  # the result is written: a sentence that cannot be made is no failure
         return verdicts, []
-    trusted = [] if report.untrusted or report.failures else [summary.trust]
+    trusted = [] if result.untrusted or result.failures else [summary.trust]
     return verdicts or [summary.text], trusted
 
 
@@ -264,7 +267,8 @@ def _as_text(report: Report, output: Output, record: Mapping[str, Any]) -> Itera
         return [FORMATS[output.wanted](tables).encode()]
     to_file = output.path is not None and not output.folder and not report.written
     if on_terminal() and not (to_file or output.verbose or output.chosen):
-        return [first_screen(_verdicts(report, record)[0], tables, terminal_width()).encode()]
+        answers, _ = answers_of(report.result, report.content, report.shown, record)
+        return [first_screen(answers, tables, terminal_width()).encode()]
     return [render(tables, 0 if to_file else terminal_width(), keep=bool(output.chosen)).encode()]
 
 

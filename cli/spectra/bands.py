@@ -43,7 +43,7 @@ EXAMPLES = (
 def bands(files: Files, request: BandsRequest, output: Output, plane: Plane = None) -> Report:
     """Centre, depth and area of the 1 and 2 µm absorption bands, with standard errors.
 
-    Composition of pyroxene and olivine from them by published regressions, each with error and range.
+    Published regressions give the composition of pyroxene and olivine from them, each with its error and its range.
     """
     from lunarsci.spectra.jobs.bands import bands
 

@@ -44,8 +44,8 @@ EXAMPLES = (
 def calibrate(files: Products, request: CalibrateRequest, output: Output) -> Report:
     """VNIS radiance to reflectance factor, 390 channels, with independent and shared errors.
 
-    -o FILE.ecsv or FILE.fits writes the spectra with units and provenance; the other commands read them. They also take
-    the labels themselves and calibrate as this command does without options.
+    -o FILE.ecsv or FILE.fits writes the spectra with units and provenance; the other commands read them. These also
+    take the labels themselves, and then calibrate as this command does without options.
     """
     from lunarsci.spectra.jobs.calibrate import calibrate, check_fits
 

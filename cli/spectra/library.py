@@ -67,7 +67,7 @@ def import_(files: Files, request: ImportRequest, output: Output) -> Report:
     batch=True,
 )
 def list_(files: Libraries) -> Report:
-    """What a library holds."""
+    """The end members of a library."""
     return _list(files)
 
 
@@ -80,7 +80,7 @@ def list_(files: Libraries) -> Report:
     batch=True,
 )
 def check(files: Libraries) -> Report:
-    """What must be mended before a library is used, and what one should know; exit code 3 where something must."""
+    """What must be mended before a library is used; exit code 3 where something must."""
     from lunarsci.spectra.jobs.library import check_library
 
     checked = check_library(files)

@@ -65,7 +65,7 @@ EXAMPLES = (
 def match(request: MatchRequest, output: Output, rocks: Rocks = None) -> Report:
     """The crater a rock came from: composition (ln Bayes factor), prior and posterior, each apart.
 
-    ln Bayes factors compare with a rock of any composition; a crater of unknown composition has 0.
+    A ln Bayes factor compares a crater with a rock of any composition. A crater of unknown composition has 0.
     """
     from lunarsci.spectra.jobs.match import match
 

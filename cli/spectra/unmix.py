@@ -42,12 +42,12 @@ EXAMPLES = (
 def unmix_spectra(files: Files, request: UnmixRequest, output: Output) -> Report:
     """Shares of olivine, orthopyroxene, clinopyroxene and plagioclase by volume, with intervals.
 
-    Networks that learned from laboratory spectra answer for any sampling from 450 to 2450 nm; where the minerals are
-    named, mixtures of end members take part. `in_domain` says that all shares are likely within 15 %; else quote the
-    95 % intervals.
+    Networks that learned from laboratory spectra answer for any sampling from 450 to 2450 nm. Where the minerals are
+    named, mixtures of end members take part. `in_domain` says that all shares are likely within 15 %; otherwise quote
+    the 95 % intervals.
 
-    A soil that space has weathered is not unmixed (exit code 3): normative plagioclase, FeO and TiO2 are given instead,
-    by regression. What may be one has both.
+    A weathered soil is not unmixed (exit code 3). A regression gives its normative plagioclase, FeO and TiO2 instead.
+    What may be a weathered soil has both.
     """
     from lunarsci.spectra.jobs.unmix import unmix
 

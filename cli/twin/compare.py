@@ -71,22 +71,20 @@ EXAMPLES = (
 
 @command("compare", EXAMPLES, OPTIONS, batch=True)
 def compare(inputs: Inputs, request: TrialsRequest, output: Output, save: SavedBelief = None) -> Report:
-    """Was the prediction to be trusted: where the drive ended, its path and its wheel states beside what was predicted.
+    """Was the prediction to be trusted: the end of a drive, its path and its wheel states beside what was predicted.
 
-    The drive is held against the predicted drives, each with the errors of measurement that the real one has. If the
-    prediction is right, the real drive is one more of them; where it is farther off than all but 1 in 100 would be, the
-    prediction was not to be trusted, it is said why, and the exit code is 3. Where something is near the edge, below 1
-    in 10, it is `not contradicted`: hardly confirmed, exit code 0. Wheels that turned otherwise than the plan says, or
-    states that are doubtful, make it doubtful (3). Times count from the start of the plan. What was not measured is
-    named and not judged.
+    If the prediction is right, the real drive is one more of those predicted, with errors of measurement. If it is
+    farther off than all but 1 in 100 would be, the prediction was not to be trusted; the reason is named, and the exit
+    code is 3. Below 1 in 10 it is `not contradicted`: hardly confirmed, exit code 0. If wheels turned otherwise than
+    planned, or states are doubtful, it is doubtful (exit code 3). Times count from the start of the plan. What was not
+    measured is named and not judged.
 
-    With --belief and --save, how far the drive missed teaches a belief how far the twin's physics is off, beside its
-    soil: regions of later predictions grow or shrink with it. Compare first, then `twin update` the saved belief.
+    With --belief and --save a belief learns from the miss how far the twin's physics is off: regions of later
+    predictions grow or shrink. Compare first, then `twin update` the saved belief.
 
-    With trials in place of a prediction the twin is scored on drives that nobody planned here: each is driven from its
-    first pose by the turns of its wheels alone, and slip, side slip and end stand beside what its positions tell, and
-    beside the way of the wheels without slip. A trial that cannot be read is told, and the others are scored (exit
-    code 1).
+    With trials in place of a prediction the twin is scored on published drives. Each is driven from its first pose by
+    the turns of its wheels alone. Slip, side slip and end are compared with those of its positions, and with the way of
+    the wheels without slip. A trial that cannot be read is named, and the others are scored (exit code 1).
     """
     if not _is_prediction(inputs, request):
         return _trials(inputs, request, output, save)

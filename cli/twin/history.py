@@ -55,12 +55,11 @@ def history(
     output: Output,
     save: SavedBelief = None,
 ) -> Report:
-    """What drives a belief of the soil rests on, how each moved it, and where it differs from another.
+    """Which drives a belief of the soil rests on, how each moved it, and where it differs from another.
 
-    Each drive is shown with its states file, how many values it had and how well a soil explained them, and how far it
-    moved each parameter in standard deviations of what was believed before. --rollback undoes the drives after the
-    Nth: mean and covariance come back to the digit, soils drawn at that moment do not, so the belief is a normal law
-    from there on.
+    Each drive has its states file, the number of its values, how well a soil explained them, and how far it moved each
+    parameter, in standard deviations of the belief before. --rollback undoes the drives after the Nth: mean and
+    covariance come back exactly, the drawn soils do not, so the belief is a normal distribution from there on.
     """
     from lunarsci.twin.jobs.history import history
 

@@ -65,15 +65,15 @@ def loads(
 ) -> Report:
     """Load, drawbar pull, lateral force and torque of every wheel along a measured motion.
 
-    The wheels' commands are those of columns such as steering_FL_deg and speed_FL_m_s, or else those of the plan at the
-    same times; what the wheels do not supply of the force that the motion needs is said.
+    The commands of the wheels are columns such as steering_FL_deg and speed_FL_m_s, or those of the plan at the same
+    times. The result states which part of the needed force the wheels do not supply.
 
     With --states, --belief or --draws the motion is as uncertain as its columns x_m_sigma, y_m_sigma and yaw_deg_sigma
-    say, and the soil as the belief. Forces are then computed on many soils and motions and made to balance: all wheels
-    together have to carry weight and slope. What they supply together is then well known; how much each one supplies
-    still depends on the assumed soil, and the tables say by how much. --iterate looks for the soil that fits these
-    forces. Forces that were computed from a soil cannot prove it, so the search uses only the sinkages under the loads,
-    and the slips beside the pull of all wheels together. Exit code 3: the rounds do not converge.
+    say, and the soil as the belief. Forces are then computed on many soils and motions that balance: all wheels
+    together carry weight and slope. Their sum is well known; how much each wheel supplies depends on the assumed soil,
+    and the tables say by how much. --iterate looks for the soil that fits these forces. Forces computed from a soil
+    cannot prove it, so the search uses only the sinkages under the loads, and the slips beside the pull of all wheels
+    together. Exit code 3: the rounds do not converge.
     """
     from lunarsci.twin.jobs import loads as job
     from lunarsci.twin.jobs.loads import MotionLoads

@@ -66,20 +66,20 @@ EXAMPLES = (
 def plan(output: Output, request: PlanRequest, terrain: NamedTerrain = None, geotiff: GeoTiff = False) -> Report:
     """A path to a target that keeps the limits of a rover, on the maps of `twin terrain`.
 
-    With -o DIR the path goes to plan.toml, path.csv and path.geojson, the terrain to terrain.npz, the maps to maps.npz:
+    -o DIR writes the path to plan.toml, path.csv and path.geojson, the terrain to terrain.npz, the maps to maps.npz:
     `lunarsci twin predict DIR/plan.toml --terrain DIR/terrain.npz` drives it. Plan and terrain keep the rover and the
     limits that they were made for.
 
     With --risk many drives are compared: round other sides of obstacles, backwards, crabwise, after a spot turn, with
     --fixes also with halts for localisation updates. All are driven on the same soils, and the best again on fresh
-    ones; what is promised is counted on these. Exit code 3 says that no drive keeps the risk. With -o DIR plan.toml is
-    the drive to take, with the risk that was accepted, which `twin predict` then goes by; candidates.csv has all,
-    plan-NN.toml those that no other beats in risk, length and energy.
+    ones, from which the promised risk is counted. Exit code 3: no drive keeps the risk. -o DIR writes the drive to take
+    to plan.toml, with the accepted risk, which `twin predict` then uses; candidates.csv has all drives, plan-NN.toml
+    those that no other beats in risk, length and energy.
 
-    With --mission several targets are reached by legs, each planned from where the rover was localised after the one
-    before: the chance to keep all limits, when each leg begins, what has to wait for communication, and the last target
-    that fits. Exit code 3 says that a target is not reached, or the chance is too small. With -o DIR leg-NNN.toml are
-    the plans, legs.csv the timetable, mission.geojson the map.
+    With --mission several targets are reached by legs, each planned from where the rover was localised. The result has
+    the probability to keep all limits, when each leg begins, what waits for communication, and the last target that
+    fits. Exit code 3: a target is not reached, or the probability is too small. -o DIR writes leg-NNN.toml, the
+    timetable legs.csv and the map mission.geojson.
     """
     from lunarsci.twin.jobs import plan as job
 

@@ -69,24 +69,21 @@ def predict(
 ) -> Report:
     """Drive a plan over many soils and say whether it stays within the limits: go; no-go or not determined, exit 3.
 
-    With -o DIR the wheel states and forces go to states.csv, the paths to paths.csv, the ends to endpoints.csv, the
-    spread of all quantities against distance to profiles.csv (with --tables parquet to states.parquet and so on); with
-    prediction.json `twin compare` sets them beside the drive that follows. A plan of `twin plan` is driven by the rover
-    that it was made for, where this comes with lunarsci; a rover of your own is given with --rover.
+    The rule: 95 % of the drives keep each limit, all end, and none enters ground to keep out of, empties the battery or
+    has ground of unknown height below its body. Limits that a plan leaves out are the rover's own. Where neither plan,
+    terrain nor --soil states a soil, it is drawn from the priors. A plan of `twin plan --risk` carries the accepted
+    risk; it is go where the probability to break any limit or not to end is at most that.
 
-    The rule is that 95 % of the drives keep each limit, all end, and none enters ground to keep out of, empties the
-    battery or has ground of unknown height below its body. Limits that a plan leaves out are the rover's own. Where
-    neither plan, terrain nor --soil says anything of the soil, it is drawn from the priors.
+    -o DIR writes wheel states and forces to states.csv, paths to paths.csv, ends to endpoints.csv, the spread of all
+    quantities against distance to profiles.csv, and prediction.json for `twin compare`. A plan of `twin plan` is driven
+    by the rover that it was made for, if this comes with lunarsci; give a rover of your own by --rover.
 
-    A plan of `twin plan --risk` carries the risk that was accepted; it is go where the chance to break any limit or not
-    to end is at most that.
+    On a terrain whose nodes lie wider apart than a wheel is large, every drive has a draw of the Moon's roughness
+    between them. Where that decides, the verdict is not-determined, and the result says which spacing of heights would
+    decide.
 
-    A terrain whose nodes lie wider apart than a wheel is large does not show what the wheels meet: every drive then has
-    a draw of the Moon's roughness by scale between them. Where that decides, the verdict is not-determined, with the
-    spacing of heights that would decide.
-
-    On soils of a belief every drive also carries a draw of what the twin's physics is off by, in its place, slip, side
-    slip, sinkage and forces; the result says how much of the ends' variance that is.
+    On soils of a belief every drive also carries a draw of the error of the twin's physics, in its place, slip, side
+    slip, sinkage and forces. The result says how much of the ends' variance that is.
     """
     from lunarsci.twin.jobs import predict as job
 

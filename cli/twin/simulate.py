@@ -43,10 +43,10 @@ EXAMPLES = (
 def simulate(output: Output, request: SimulateDriveRequest, plan: PlanFile = None) -> Report:
     """Drive a plan once on one soil and write the telemetry that such a drive would send, sensor errors included.
 
-    A plan with position fixes halts after each leg, and the rover steers on from where it then believes to be;
-    telemetry has these positions, and a column for halts.
+    In a plan with localisation updates the rover halts after each leg, and steers on from where it then believes to be.
+    Telemetry has these positions, and a column for halts.
 
-    With -o DIR the telemetry goes to telemetry.csv, the depth of the track to track.csv, and the truth behind both to
+    -o DIR writes the telemetry to telemetry.csv, the depth of the track to track.csv, and the truth behind both to
     truth.csv. All of it is made up and says so. `lunarsci twin states` reads the first two.
     """
     from lunarsci.twin.jobs.simulate import simulate_drive

@@ -54,27 +54,24 @@ EXAMPLES = (
 def states(telemetry: Telemetry, request: StatesRequest, plan: DrivenPlan = None) -> Report:
     """Slip, side slip and sinkage of every wheel, with their errors, from the telemetry of a drive.
 
-    Slip and side slip follow from positions, headings and wheels, and from the slopes of the terrain, one state between
-    two positions at most; they are those at its time. How fast they change beside the slopes is found from the data and
-    stated. Sinkage follows from the track, for the deepest wheel that passed; the others stay blank.
+    Slip and side slip follow from positions, headings and wheels, and from the slopes of the terrain: one state between
+    two positions at most. How fast they change besides is found from the data and stated. Sinkage follows from the
+    track, for the deepest wheel that passed; that of the others stays blank.
 
-    What is not known of the telemetry itself is found with the motion, and widens the errors: the point that is
-    localised, a drift of headings, a lag of the clock, scales of the encoders, the wheels' rolling radius, positions
-    whose errors walk, slides at halts. What is more probable than not is said. Units and axes are read as they are most
-    probably meant, which is said too. Where the result should not be trusted the exit code is 3.
+    Errors of the telemetry itself are unknowns, too: the localised point, a drift of headings, a lag of the clock,
+    scales of the encoders, the rolling radius of the wheels, positions whose errors walk, slides at halts. They widen
+    the errors of the states, and those more probable than not are listed. Units and axes are read as they are most
+    probably meant; the result says how. Exit code 3: the result should not be trusted.
 
-    Files of any length are read, a piece at a time: where the rover stands for long, only rows beside drives and with a
-    new position are kept. --since and --until take a part.
+    Files of any length are read in pieces. Of a rover that stands for long only rows beside drives and with a new
+    position are kept. --since and --until take a part.
 
-    Slip is that of the rolling radius r_s = r + lambda_s h, with grousers of height h. Its errors hold 3 % of that
-    radius, which all states share (column slip_ratio_shared). Wheels that turned more than 2 % off the plan's speed are
-    said: a soil learned with this plan would be another.
+    Slip is that of the rolling radius r_s = r + lambda_s h, with grousers of height h. Its errors include 3 % of that
+    radius, which all states share (column slip_ratio_shared). A warning names wheels that turned more than 2 % off the
+    plan's speed: a soil learned with this plan would be another.
 
-    Positions and headings that are later than the wheels, by another clock or because wheels act late, are put back to
-    them, and the lag is said. Along one arc at one speed no slip depends on it.
-
-    With -o DIR the states go to states.csv, the positions to positions.csv, and the smoothed motion to motion.csv: what
-    `lunarsci twin update` and `lunarsci twin loads` read.
+    -o DIR writes the states to states.csv, the positions to positions.csv, and the smoothed motion to motion.csv, for
+    `lunarsci twin update` and `lunarsci twin loads`.
     """
     from lunarsci.twin.jobs.states import states
 

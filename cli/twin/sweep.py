@@ -40,13 +40,13 @@ HEADERS = (
 
 @command("sweep", EXAMPLES, OPTIONS)
 def sweep(output: Output, request: SweepRequest, plans: Plans = None) -> Report:
-    """Drive designs of a rover that differ in a few numbers on the same mission and soils, and set them side by side.
+    """Compare designs of a rover that differ in a few numbers, on the same mission and soils.
 
-    For each design: the share of drives that keep every limit, p95 of the worst slip and sinkage, work of the motors,
-    time, bias and scatter of the ends, and what a wheel pulls at 20 % slip; with --charge or --sun also what is left in
-    the battery, which is a limit then. An impossible design is listed with its
-    reason; a number on which no drive depends is refused with its reason. `*` marks designs that no other beats both in
-    energy and in the share of drives kept; --plot has them in a picture, and a curve for each number.
+    The table has for each design the share of drives that keep every limit, p95 of the worst slip and sinkage, work of
+    the motors, time, bias and scatter of the ends, and the pull of a wheel at 20 % slip. With --charge or --sun it also
+    has the charge left in the battery, which is a limit then. An impossible design is listed with its reason; a number
+    that affects no drive is refused. `*` marks designs that no other beats both in energy and in the share of drives
+    kept; --plot draws them, and a curve for each number.
     """
     from lunarsci.twin.jobs import sweep as job
 

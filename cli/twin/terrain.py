@@ -57,8 +57,8 @@ def terrain(
 ) -> Report:
     """Maps of slope, roughness and step height of a terrain, and where a rover may drive.
 
-    With -o DIR the terrain goes to terrain.npz and the maps to maps.npz. The terrain keeps the rover and the limits
-    that it was looked at for. `lunarsci twin plan` finds a path on it.
+    -o DIR writes the terrain to terrain.npz and the maps to maps.npz. The terrain keeps the rover and the limits of
+    these maps. `lunarsci twin plan` finds a path on it.
     """
     from lunarsci.twin.jobs import terrain as job
 

@@ -92,16 +92,16 @@ def update(
 ) -> Report:
     """Update what is believed of the soil by a drive that happened: the twin drives it on many soils.
 
-    Soils are kept as they meet the measured states and positions. Where no soil explains them, nothing is learned, it
-    is said why, and the exit code is 3. It is said, too, where along the way the soil changes; with a map each stretch
-    between changes is learned on its own, and far from all that was driven the map returns to the first priors.
+    The soils that agree with the measured states and positions are kept. If no soil does, nothing is learned, the
+    reason is named, and the exit code is 3. The result says where along the way the soil changes. With a map each
+    stretch between changes is learned on its own; far from all drives the map returns to the first priors.
 
-    Values are effective ones, with which the twin's law drives as the rover did; the ground's own have wider intervals.
-    A drive that needs errors more than five times as large, that slipped otherwise than the soil found does, or whose
-    wheels turned otherwise than the plan says, leaves a doubtful belief: the exit code is 3, here and wherever it is
+    Values are effective ones, with which the twin drives as the rover did; the ground's own have wider intervals. A
+    belief is doubtful after a drive that needs errors more than five times as large, that slipped otherwise than the
+    soil does, or whose wheels turned otherwise than planned. The exit code is then 3, here and wherever the belief is
     used, until all is forgotten (--forget 1).
 
-    What no soil explains teaches how far the twin's physics is off, which predictions from the belief then carry.
+    Residuals that no soil explains teach the error of the twin's physics, which predictions from the belief then carry.
     """
     from lunarsci.twin.jobs import update as job
 

@@ -296,7 +296,7 @@ def _kind_of_json(file: InputFile) -> str:
         return "zones"
     if any(map(is_wavelength, document)):
         return "spectra"
-    raise DataError(f"{file.name}: JSON without a schema of lunarsci; nothing is known of it")
+    raise DataError(f"{file.name}: JSON without a schema of lunarsci; its kind is unknown")
 
 
 def _kind_of_toml(file: InputFile) -> str:

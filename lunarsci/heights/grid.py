@@ -81,6 +81,15 @@ class HeightGrid:
     beside: tuple[str, ...] = ()
 
 
+def layers_on(
+    x_m: FloatArray, y_m: FloatArray, layers: Mapping[str, npt.NDArray[Any]]
+) -> dict[str, tuple[tuple[str, ...], npt.NDArray[Any]]]:
+    """Layers (ny, nx) with their axes, as `Result.layers` has them."""
+    return {"y_m": (("y_m",), y_m), "x_m": (("x_m",), x_m)} | {
+        key: (("y_m", "x_m"), one) for key, one in layers.items()
+    }
+
+
 def spacing_of(x: FloatArray, y: FloatArray) -> float:
     """The one distance of ascending nodes (nx,) and (ny,). Raises ParameterError where there is none. [m]"""
     axes = [axis.ravel() if axis.ndim == 1 and axis.size > 1 else np.zeros(2) for axis in (x, y)]

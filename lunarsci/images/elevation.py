@@ -21,7 +21,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray, huber_weights, robust_fit
 from lunarsci.errors import ParameterError
-from lunarsci.heights.grid import ERROR_LAYERS
+from lunarsci.heights.grid import ERROR_LAYERS, layers_on
 from lunarsci.heights.grids import check_relief, geotiff_bytes, read_grid
 from lunarsci.ranges import refuse
 
@@ -36,6 +36,8 @@ REWEIGHTED = 5
 """How often Huber's weights are taken anew from what the corrections before left over."""
 BETWEEN_NODES = 0.1
 """Error of a position that follows from heights on a grid, as a share of its spacing; assumed."""
+AT_ONCE = 50_000
+"""Nodes whose common errors are computed at once."""
 BLOCK = 12
 """Nodes along a side of the blocks whose gradients are compared; assumed."""
 MOVED = ("x_m", "y_m", "turn_rad", "z_m", "tilt_x", "tilt_y")
@@ -120,6 +122,11 @@ class ElevationModel:
         (ny, nx)"""
         values = getattr(self, key)
         return np.array(np.broadcast_to(np.nan if values is None else values, self.height_m.shape), dtype=float)
+
+    def layers(self) -> dict[str, tuple[tuple[str, ...], FloatArray]]:
+        """Axes, heights and the errors that are known, as `Result.layers` has them."""
+        given = [key for key in ("height_m", *ERROR_LAYERS) if getattr(self, key) is not None]
+        return layers_on(self.x_m, self.y_m, {key: self.layer(key) for key in given})
 
     def at(self, key: str, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> FloatArray:
         """A layer between its nodes, bilinear; NaN outside and where one of the four is unknown.
@@ -378,13 +385,13 @@ def merge(
     x, y = (_axis(models, places, name, step) for name in ("x_m", "y_m"))
     shift = np.zeros((len(models), len(COLUMNS)))
     for k in range(RELAID):
-        stack = _Stack.of(models, places, (x, y, step), shift)
-        corrections, covariance, weight = _robust(stack)
+        stack = Stack.of(models, places, (x, y, step), shift)
+        corrections, covariance, weight = reconciled(stack)
         free = np.tile([0.0, 1.0, 1.0], len(models)) * (np.diag(stack.prior) > 0)
         covariance += np.diag(free) * (BETWEEN_NODES * step) ** 2
         shift = corrections * [0.0, 1.0, 1.0]
         steps(1 + k, RELAID + 1)
-    return _result(models, stack, weight, corrections, covariance, (x, y, step))
+    return map_of(models, stack, weight, corrections, covariance, (x, y, step))
 
 
 def _axis(models: Sequence[ElevationModel], places: Sequence[StationPosition], name: str, step: float) -> FloatArray:
@@ -398,15 +405,15 @@ def _axis(models: Sequence[ElevationModel], places: Sequence[StationPosition], n
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Stack:
+class Stack:
     """k models on the n nodes of one grid, row by row.
 
     Attributes
     ----------
     height : of the nodes, NaN where a model does not know one. (k, n) [m]
     variance : random, of these. (k, n) [m2]
-    by : derivatives of the heights by `COLUMNS`. (k, n, 3) [m, -, -]
-    prior : covariance of what the models may be off by, in `COLUMNS`, model after model. (3 k, 3 k)
+    by : derivatives of the heights by the c ways in which each may be off, such as `COLUMNS`. (k, n, c) [m, -, -]
+    prior : covariance of what the models may be off by, in these, model after model. (c k, c k)
     alike : how many nodes are one measurement, 1 or more: those within the resolution.
     block : number of the block of `BLOCK` nodes along each side that a node lies in, from 0. (n,)
     """
@@ -425,7 +432,7 @@ class _Stack:
         places: Sequence[StationPosition],
         grid_m: tuple[FloatArray, FloatArray, float],
         shift: FloatArray,
-    ) -> "_Stack":
+    ) -> "Stack":
         """Models laid where they are thought to be.
 
         grid_m : its x (nx,) and y (ny,), and their step. [m]
@@ -445,18 +452,22 @@ class _Stack:
             derivatives.append(np.nan_to_num(np.stack(by, axis=-1)))
             heights.append(np.where(np.isfinite(sigma) & (sigma > 0), height + derivatives[-1] @ moved, np.nan))
             variances.append(sigma**2)
-        rows, columns = np.arange(len(y)) // BLOCK, np.arange(len(x)) // BLOCK
         stack = cls(
             height=np.array(heights),
             variance=np.array(variances),
             by=np.array(derivatives),
             prior=block_diag(*(block_diag(np.eye(1), place.covariance_m2[:2, :2]) for place in places)),
-            alike=max(1.0, (_width(models) / step) ** 2),
-            block=np.asarray((rows[:, None] * (columns[-1] + 1) + columns).ravel(), dtype=np.intp),
+            alike=alike_of(models, step),
+            block=blocks_of(len(y), len(x)),
         )
         if not stack.shared.any():
             raise ParameterError("the models share no nodes: nothing to compare; check their positions")
         return stack
+
+    def part(self, nodes: BoolArray) -> "Stack":
+        """The same of some nodes (n,) alone."""
+        arrays = {key: getattr(self, key)[:, nodes] for key in ("height", "variance", "by")}
+        return replace(self, block=self.block[nodes], **arrays)
 
     @property
     def valid(self) -> BoolArray:
@@ -491,43 +502,57 @@ class _Stack:
         return np.where(spread > 1e-6 * self.variance, off, np.nan)
 
 
+def alike_of(models: Sequence[ElevationModel], step: float) -> float:
+    """How many nodes are one measurement, 1 or more: those within the resolution."""
+    return max(1.0, (_width(models) / step) ** 2)
+
+
+def blocks_of(ny: int, nx: int) -> IndexArray:
+    """Number of the block of `BLOCK` nodes along each side that a node lies in, from 0. (ny nx,)"""
+    rows, columns = np.arange(ny) // BLOCK, np.arange(nx) // BLOCK
+    return np.asarray((rows[:, None] * (columns[-1] + 1) + columns).ravel(), dtype=np.intp)
+
+
 def _width(models: Sequence[ElevationModel]) -> float:
     """The largest median resolution. [m]"""
     return max(float(np.nan_to_num(np.nanmedian(model.layer("resolution_m")))) for model in models)
 
 
-def _robust(stack: _Stack) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """What models are off by (k, 3), its covariance (3 k, 3 k), and Huber's weights of their heights (k, n), 0 to 1.
+def reconciled(stack: Stack) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What models are off by (k, c), its covariance (c k, c k), and Huber's weights of their heights (k, n), 0 to 1.
 
     The covariance is C (S + P^-1) C with S the sum of squares of the gradients of blocks of the map (White 1982,
     10.2307/1912526), where it is larger than C: heights scatter more than they say, and alike over more than the
     resolution, on rough ground.
     """
+    whole, shared = stack.valid.astype(float), stack.shared
+    if not shared.any():
+        return np.zeros((len(whole), stack.by.shape[2])), stack.prior, whole
+    stack = stack.part(shared)
     weight = stack.valid.astype(float)
     for _ in range(REWEIGHTED):
         corrections, covariance = _corrections(stack, weight)
         z = stack.z_scores(stack.merged(weight, corrections), corrections)
         weight = np.where(stack.valid, huber_weights(np.nan_to_num(z) ** 2, 1), 0.0)
     count, nodes, columns = stack.by.shape
-    inverse = np.where(stack.shared, stack.inverse(weight), 0.0) / stack.alike
+    inverse = stack.inverse(weight) / stack.alike
+    whole[:, shared] = weight
     off = np.nan_to_num(stack.corrected(corrections) - stack.merged(weight, corrections))
     by_node = (stack.by * (inverse * off)[..., None]).transpose(1, 0, 2).reshape(nodes, count * columns)
     gradients = np.zeros((int(stack.block.max()) + 1, count * columns))
     np.add.at(gradients, stack.block, by_node)
     wider = covariance @ (gradients.T @ gradients + np.linalg.pinv(stack.prior)) @ covariance
     larger = np.sqrt(np.maximum(np.diag(wider) / np.maximum(np.diag(covariance), 1e-300), 1.0))
-    return corrections, np.asarray(covariance * np.outer(larger, larger)), weight
+    return corrections, np.asarray(covariance * np.outer(larger, larger)), whole
 
 
-def _corrections(stack: _Stack, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """What each model is off by (k, 3), and the covariance of all of it, with the heights themselves solved for.
+def _corrections(stack: Stack, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What each model is off by (k, c), and the covariance of all of it, with the heights themselves solved for.
 
     Where models overlap, each node's height is the weighted mean of what they say, so that only differences count.
     Neighbouring nodes within the resolution are one measurement.
     """
-    shared = stack.shared
-    inverse = stack.inverse(weight)[:, shared] / stack.alike
-    by, height = stack.by[:, shared], np.nan_to_num(stack.height[:, shared])
+    inverse, by, height = stack.inverse(weight) / stack.alike, stack.by, np.nan_to_num(stack.height)
     count, _, columns = by.shape
     total = inverse.sum(axis=0)
     weighted = by * inverse[..., None]
@@ -543,15 +568,15 @@ def _corrections(stack: _Stack, weight: FloatArray) -> tuple[FloatArray, FloatAr
     return solved.reshape(count, columns), root @ np.linalg.inv(inner) @ root.T
 
 
-def _result(
+def map_of(
     models: Sequence[ElevationModel],
-    stack: _Stack,
+    stack: Stack,
     weight: FloatArray,
     corrections: FloatArray,
     covariance: FloatArray,
     grid: tuple[FloatArray, FloatArray, float],
 ) -> MergedMap:
-    """The merged map with its errors; `grid` as of `_Stack.of`, `weight` (k, n)."""
+    """The merged map with its errors; `grid` as of `Stack.of`, `weight` (k, n)."""
     x, y, step = grid
     shape = len(y), len(x)
     merged, inverse = stack.merged(weight, corrections), stack.inverse(weight)
@@ -562,8 +587,10 @@ def _result(
         share = np.where(total > 0, inverse / total, 0.0)
     # Weights of doubtful heights are lower, which is no reason to believe in less of an error.
     random = np.sqrt((share**2 * np.where(stack.valid, stack.variance, 0.0)).sum(axis=0))
-    parts = (share[..., None] * stack.by).transpose(1, 0, 2).reshape(len(merged), -1)
-    common = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", parts, covariance, parts), 0.0))
+    common = np.zeros(len(merged))
+    for rows in np.array_split(np.arange(len(merged)), 1 + len(merged) // AT_ONCE):
+        parts = (share[:, rows, None] * stack.by[:, rows]).transpose(1, 0, 2).reshape(len(rows), -1)
+        common[rows] = np.sqrt(np.maximum(((parts @ covariance) * parts).sum(axis=1), 0.0))
     layers = {
         key: np.where(total > 0, values, np.nan).reshape(shape)
         for key, values in (("height_m", merged), ("height_m_sigma", random), ("height_m_common_sigma", common))
@@ -587,7 +614,7 @@ def _result(
     )
 
 
-def _overlaps(stack: _Stack, corrections: FloatArray) -> Iterator[Overlap]:
+def _overlaps(stack: Stack, corrections: FloatArray) -> Iterator[Overlap]:
     """Of each two models that know a node in common; `corrections` (k, 3)."""
     height = stack.corrected(corrections)
     for i, j in combinations(range(len(height)), 2):

@@ -6,13 +6,16 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import block_diag
 from scipy.ndimage import distance_transform_edt, map_coordinates, median
 
 from lunarsci.arrays import SIGNIFICANCE, FloatArray
 from lunarsci.compiled import compiled
 from lunarsci.errors import DataError
+from lunarsci.images.adjustment import crossed, triangulated
 from lunarsci.images.camera import Pose, StereoRig
 from lunarsci.images.elevation import ElevationModel, mean_about
+from lunarsci.images.localisation import original_px
 from lunarsci.images.matching import StereoMatches
 
 COMMON_NODES = 4
@@ -57,8 +60,11 @@ class Cloud(NamedTuple):
     window_px: FloatArray
 
 
-def cloud_of(matches: StereoMatches, pose: Pose, farthest_m: float) -> Cloud:
-    """The points of a pair up to a range. Raises DataError where there are none."""
+def cloud_of(
+    matches: StereoMatches, pose: Pose, farthest_m: float, rigs: tuple[StereoRig, StereoRig] | None = None
+) -> Cloud:
+    """The points of a pair up to a range, of the second one of `rigs` where it was rectified by the first one. Raises
+    DataError where there are none."""
     valid = np.isfinite(matches.disparity) & (matches.disparity > 0)
     place = np.argwhere(valid)
     frame = matches.rectified
@@ -66,6 +72,11 @@ def cloud_of(matches: StereoMatches, pose: Pose, farthest_m: float) -> Cloud:
     depth = frame.focal_px * frame.baseline_m / d
     rays = np.column_stack([(place[:, ::-1] - np.array(frame.center_px)) / frame.focal_px, np.ones(len(d))])
     local = (rays * depth[:, None]) @ frame.turn
+    if rigs is not None:
+        places = place[:, ::-1].astype(float)
+        left = original_px(frame, rigs[0], places)
+        right = original_px(frame, rigs[0], places - np.stack([d, 0 * d], axis=-1), right=True)
+        local = triangulated(rigs[1], left, right[:, 0] - left[:, 0])
     near = np.linalg.norm(local, axis=1) <= farthest_m
     if near.sum() < 100:
         raise DataError(f"no ground within {farthest_m:g} m was matched; give a larger `farthest`")
@@ -110,13 +121,18 @@ def grid_of(
     spacing_m: float,
     farthest_m: float,
     synthetic: bool = False,
+    moved: StereoRig | None = None,
+    covariance: FloatArray | None = None,
 ) -> ElevationModel:
     """The mean height of each cell, and between pixels that lie farther apart than cells, up to a range `farthest_m`.
 
     The error of a height is that at its place: a point that is wrong along its ray is also beside itself, which a slope
-    turns into height. Common errors are those of the rig; those of the pose are not in it.
+    turns into height. Common errors are those of the `covariance` of the pose, as `Adjusted` has it, and the rig
+    (30, 30); without it those of the rig alone. `moved` is the rig where it is not quite the one that rectified.
     """
-    cloud = cloud_of(matches, pose, farthest_m)
+    cloud = cloud_of(matches, pose, farthest_m, None if moved is None else (rig, moved))
+    if covariance is None:
+        covariance = block_diag(np.zeros((6, 6)), rig.covariance)
     low = np.floor(cloud.points[:, :2].min(axis=0) / spacing_m)
     size = np.ceil(cloud.points[:, :2].max(axis=0) / spacing_m) - low + 1
     shape = int(size[1]), int(size[0])
@@ -134,7 +150,7 @@ def grid_of(
     layers, covered = _on_triangles(cloud, near, values, matches, (x0, y0, spacing_m), shape)
     height, variance, by_disparity, width, alike, between = np.moveaxis(layers, -1, 0)
     count = np.bincount(cell[near], minlength=shape[0] * shape[1]).reshape(shape)
-    common, shift = _common_errors(rig, pose, height, (x0, y0, spacing_m))
+    common, shift = _common_errors(moved or rig, pose, height, (x0, y0, spacing_m), covariance)
     parts = (
         _spread_of_means(height, variance, (count, alike), covered, spacing_m),
         np.sqrt(between),
@@ -232,40 +248,82 @@ def _relief(height: FloatArray, spacing_m: float) -> FloatArray:
 
 
 def _common_errors(
-    rig: StereoRig, pose: Pose, height: FloatArray, grid: tuple[float, float, float]
+    rig: StereoRig, pose: Pose, height: FloatArray, grid: tuple[float, float, float], covariance: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """What the rig's covariance makes of heights at their places, and how far it shifts these away from the camera.
+    """What the covariance of pose and rig makes of heights at their places, and how far it shifts these away from the
+    camera.
 
     With the covariance V of a point, ground whose slopes are p and q rises by (-p, -q, 1) V (-p, -q, 1)^T, squared.
     `grid` is x and y of the first node, and the spacing [m]. (ny, nx), (ny, nx) [m]
     """
     valid = np.isfinite(height)
-    slope_y, slope_x = (part[valid] for part in _slope(height, grid[2]))
-    covariance = _of_points(rig, pose, height, grid)[valid]
+    by = _by_errors(rig, pose, height, grid)
+    spread = _between(by @ covariance @ by.swapaxes(-1, -2), height.shape)[valid]
     rows, columns = np.nonzero(valid)
     away = np.column_stack([columns, rows]) * grid[2] + np.array(grid[:2]) - pose.center_m[:2]
     away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-6)
-    ways = np.stack([-slope_x, -slope_y, np.ones(len(rows))], axis=-1), np.pad(away, ((0, 0), (0, 1)))
+    ways = _upwards(height, grid[2])[valid], np.pad(away, ((0, 0), (0, 1)))
     result = np.full((2, *height.shape), np.nan)
     for layer, way in zip(result, ways, strict=True):
-        layer[valid] = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", way, covariance, way), 0.0))
+        layer[valid] = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", way, spread, way), 0.0))
     return result[0], result[1]
 
 
-def _of_points(rig: StereoRig, pose: Pose, height: FloatArray, grid: tuple[float, float, float]) -> FloatArray:
-    """Covariance of the place of what is seen at each node, from the rig's: exact at some nodes, linear between them;
-    where no height is known it is that of the nearest one. (ny, nx, 3, 3) [m2]"""
+def _upwards(height: FloatArray, spacing_m: float) -> FloatArray:
+    """By what a height changes where its ground is moved along x, y, z. (ny, nx, 3) [-]"""
+    slope_y, slope_x = _slope(height, spacing_m)
+    return np.stack([-slope_x, -slope_y, np.ones(height.shape)], axis=-1)
+
+
+class HeightModes(NamedTuple):
+    """The few ways in which errors of pose and rig change the heights of a model together.
+
+    Attributes
+    ----------
+    by : change of each height by one standard deviation of each mode. (ny, nx, m) [m]
+    of : what errors of the pose and the rig make of each mode. (m, 30)
+    """
+
+    by: FloatArray
+    of: FloatArray
+
+
+def height_modes(model: ElevationModel, rig: StereoRig, pose: Pose, root: FloatArray, count: int) -> HeightModes:
+    """The `count` modes with most of the variance, of errors whose covariance is root root^T. (30, n)"""
+    grid = model.x0_m, model.y0_m, model.spacing_m
+    by, upwards = _by_errors(rig, pose, model.height_m, grid) @ root, _upwards(model.height_m, model.spacing_m)
+    sample = (slice(None, None, COMMON_NODES),) * 2
+    there = np.einsum("yxi,yxim->yxm", upwards[sample], by[: len(upwards[sample]), : upwards[sample].shape[1]])
+    there = there[np.isfinite(model.height_m[sample])]
+    first = np.zeros((count, root.shape[1]))
+    axes = np.linalg.svd(there, full_matrices=False)[2][:count]
+    first[: len(axes)] = axes
+    layers = np.einsum("yxi,yxim->yxm", upwards, _between(by @ first.T, model.height_m.shape))
+    return HeightModes(layers, first @ np.linalg.pinv(root))
+
+
+def _by_errors(rig: StereoRig, pose: Pose, height: FloatArray, grid: tuple[float, float, float]) -> FloatArray:
+    """Derivatives of the place of what is seen by rotation and place of the camera [rad, m], and by the rig's
+    `PARAMETERS`, at every `COMMON_NODES`th node; where no height is known it is the nearest one.
+    (ny / 4 + 1, nx / 4 + 1, 3, 30)"""
     rows, columns = (np.arange(0, size + COMMON_NODES - 1, COMMON_NODES) for size in height.shape)
     filled = _nearest(height)[
         np.ix_(*(np.minimum(k, n - 1) for k, n in zip((rows, columns), height.shape, strict=True)))
     ]
     x, y = np.meshgrid(grid[0] + grid[2] * columns, grid[1] + grid[2] * rows)
-    left, right = rig.project(pose.to_camera(np.stack([x, y, filled], axis=-1)))
-    by = pose.rotation @ rig.by_parameters(left, right)
-    sampled = np.moveaxis(by @ rig.covariance @ by.swapaxes(-1, -2), (2, 3), (0, 1))
-    places = np.stack(np.meshgrid(*(np.arange(size) / COMMON_NODES for size in height.shape), indexing="ij"))
-    made = [[map_coordinates(_nearest(layer), places, order=1, mode="nearest") for layer in row] for row in sampled]
-    return np.moveaxis(np.array(made), (0, 1), (2, 3))
+    points = np.stack([x, y, filled], axis=-1)
+    by_rig = pose.rotation @ rig.by_parameters(*rig.project(pose.to_camera(points)))
+    by_turn = -crossed((points - pose.center_m).reshape(-1, 3)).reshape(*points.shape, 3)
+    return np.concatenate([by_turn, np.broadcast_to(np.eye(3), by_turn.shape), by_rig], axis=-1)
+
+
+def _between(sampled: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    """What is known at every `COMMON_NODES`th node (.., .., ...) at all of `shape`: linear between them, and where it
+    is not known that of the nearest one. (ny, nx, ...)"""
+    places = np.stack(np.meshgrid(*(np.arange(size) / COMMON_NODES for size in shape), indexing="ij"))
+    layers = np.moveaxis(sampled.reshape(*sampled.shape[:2], -1), -1, 0)
+    made = [map_coordinates(_nearest(layer), places, order=1, mode="nearest") for layer in layers]
+    return np.stack(made, axis=-1).reshape(*shape, *sampled.shape[2:])
 
 
 def _nearest(values: FloatArray) -> FloatArray:
@@ -325,12 +383,12 @@ def _lay(numbers, place, values, disparity, jump, total, weight):  # type: ignor
             far = min(min(disparity[a], disparity[b]), min(disparity[c], disparity[d]))
             if near - far > jump * near:
                 continue
-            _triangle(place, values, a, b, c, _between(place, values, disparity, a, c), total, weight)
-            _triangle(place, values, b, c, d, _between(place, values, disparity, b, d), total, weight)
+            _triangle(place, values, a, b, c, _fall(place, values, disparity, a, c), total, weight)
+            _triangle(place, values, b, c, d, _fall(place, values, disparity, b, d), total, weight)
 
 
 @compiled(error_model="numpy")
-def _between(place, values, disparity, a, c):  # type: ignore[no-untyped-def]
+def _fall(place, values, disparity, a, c):  # type: ignore[no-untyped-def]
     """Variance that the ground between two pixels of neighbouring rows adds to the mean of a cell, of which it is at
     most all: a height anywhere between 0 and h has a mean square of h^2 / 3. [m2]"""
     fall = (values[c, 0] - values[a, 0]) * (1.0 if disparity[c] > disparity[a] else -1.0)

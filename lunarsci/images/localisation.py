@@ -3,24 +3,33 @@
 What the nearer of two stations sees is laid into the view of the farther one by its stereo points, where both are alike
 but for the light. Features (SIFT, Lowe 2004, 10.1023/B:VISI.0000029664.99615.94) with a rigid motion that most of them
 share (MAGSAC++, Barath et al. 2020, 10.1109/CVPR42600.2020.00138) bring them within some pixels, templates to parts of
-one. Bundle adjustment (Triggs et al. 2000, 10.1007/3-540-44480-7_21): a point is where the nearer station sees it, with
-that error, the rig moves within its covariance, dead reckoning is a prior, and what does not fit counts less (Huber
-1964, 10.1214/aoms/1177703732). The rig's baseline is the scale.
+one, and `adjustment` finds the poses.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
-from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.linalg import block_diag
+from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates
 
-from lunarsci.arrays import BoolArray, FloatArray, IntArray, huber_weights
-from lunarsci.errors import DataError
-from lunarsci.images.camera import PARAMETERS, Pose, StereoRig, rotation_of, vector_of
+from lunarsci.arrays import BoolArray, FloatArray
+from lunarsci.images.adjustment import (
+    OVERLAPPING,
+    Adjusted,
+    PairTies,
+    TiePoints,
+    adjust,
+    apart,
+    by_steps,
+    crossed,
+    off_of,
+    triangulated,
+)
+from lunarsci.images.camera import Pose, StereoRig, rotation_of
 from lunarsci.images.matching import Rectified, StereoMatches
 from lunarsci.images.pictures import open_cv
 from lunarsci.result import Progress
@@ -30,9 +39,6 @@ HIDDEN = 0.02
 TEMPLATE_PX, WIDE_PX = (41, 17), (81, 25)
 """Width and height of what is compared, on ground that is foreshortened from afar, and of what is compared where the
 pose is not known better than by dead reckoning; assumed. [px]"""
-OVERLAPPING = 4.0
-"""How many templates see each pixel, half of one apart each way (as `TEMPLATE_PX`): by this the variance of one is
-larger, since their errors are correlated."""
 LEAST_CORRELATION, LOOSE_CORRELATION = 0.6, 0.45
 """Templates that agree less are no ties; the same where many are searched for one motion, which chance does not share,
 or where there are few; assumed."""
@@ -45,15 +51,6 @@ REACHES_PX = ((12, 6), (6, 4))
 """Half sides of where templates are looked for, a round; assumed."""
 FEWEST = 8
 """Fewest ties that a pose is believed of: four times the equations that its six unknowns need; assumed."""
-STEPS = 30
-"""Gauss-Newton steps of the adjustment, at most."""
-SMALL = 1e-6
-"""Step of poses [rad, m] and rig that ends the adjustment."""
-SMALLEST_PX = 0.1
-"""Error of a template's place, and of the pixel that defines a point, that is left where light says none; assumed."""
-SHIFTED_PX = 0.25
-"""Error that a pair's templates share, in u and in v: light and shadows lie elsewhere when the Sun has moved.
-Measured: the templates of three rendered pairs were off by 0 to 0.4 px."""
 ODD_SIGMAS = 5.0
 """Dead reckoning that is off by more is doubted: it, or the ties, are wrong; assumed."""
 LEAST_SHARED, MOST_CLOSED, NEAREST_M = 0.05, 4, 0.5
@@ -69,290 +66,35 @@ class Station:
     ----------
     name : what it is called.
     matches : of its pair.
+    rig : that took it, the same object for all pairs of one rig.
     pose : of its left camera.
-    covariance : of its direction about x, y, z of the world [rad], and of the step from the station before [m]. (6, 6)
+    covariance : of its direction about x, y, z of the world [rad], and of the step from the stand before [m]; the same
+        for all pairs of a stand. (6, 6)
     time_s : of the pair; None where it is not known. [s]
     rover : the rover's frame (x ahead, y left, z up) in that of the left camera; None where it is not known.
+    stand : name of the place where the rover did not move between pairs; they share the errors of `covariance`.
+    mast : covariance of what the pair is off by beside its stand, since its mast was turned. (6, 6)
     """
 
     name: str
     matches: StereoMatches
+    rig: StereoRig
     pose: Pose
     covariance: FloatArray
     time_s: float | None = None
     rover: Pose | None = None
+    stand: str = ""
+    mast: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
 
 
-class TiePoints(NamedTuple):
-    """Points that two stations see.
-
-    near_px, far_px : (u, v) in the left pictures. (n, 2) [px]
-    near_disparity, far_disparity : u of the right picture less that of the left one, both as taken: of the other sign
-        than `StereoMatches.disparity`; NaN where unknown. (n,) [px]
-    near_sigma, far_sigma : their random errors. (n,) [px]
-    covariance : of `far_px`, as the templates say. (n, 2, 2) [px^2]
-    correlation : of the templates. (n,) [-]
-    """
-
-    near_px: FloatArray
-    near_disparity: FloatArray
-    near_sigma: FloatArray
-    far_px: FloatArray
-    far_disparity: FloatArray
-    far_sigma: FloatArray
-    covariance: FloatArray
-    correlation: FloatArray
-
-
-class PairTies(NamedTuple):
-    """Points that two stations see, and their numbers: `near` sees the common ground from nearer."""
-
-    near: int
-    far: int
-    ties: TiePoints
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Adjusted:
-    """Poses that explain the ties best.
-
-    Attributes
-    ----------
-    poses : of the left cameras, of all s stations.
-    covariance : of all poses but the first, which is given: rotation about x, y, z of the world [rad], place [m], one
-        after the other; the rig's error is in it. (6 (s - 1), 6 (s - 1))
-    rig : moved within its covariance.
-    inflation : for each of the p pairs, by which errors of its templates were multiplied, 1 or more. (p,) [-]
-    residual_px : by pair, measured less computed (u, v) of its n ties in the farther left picture. (n, 2) each [px]
-    weights : by pair, of its ties, 0 to 1. (n,) each
-    """
-
-    poses: tuple[Pose, ...]
-    covariance: FloatArray
-    rig: StereoRig
-    inflation: tuple[float, ...]
-    residual_px: tuple[FloatArray, ...]
-    weights: tuple[FloatArray, ...]
-
-
-def adjust(
-    poses: Sequence[Pose],
-    covariances: Sequence[FloatArray],
-    rig: StereoRig,
-    pairs: Sequence[PairTies],
-    *,
-    start: Sequence[Pose] | None = None,
-) -> Adjusted:
-    """Adjust stations by what they see in pairs; the first pose is given.
-
-    poses, covariances : where dead reckoning puts left cameras, and how well: direction, and the step from the one
-        before (6, 6); that of the first one is not used.
-    rig : as its file has it, with its covariance.
-    pairs : may be none; then poses stay, and their covariance is that of dead reckoning.
-    start : poses to begin with; where dead reckoning puts them if None.
-
-    Raises DataError where the equations have no answer.
-    """
-    bundle = _Bundle(tuple(poses), tuple(covariances), rig, tuple(pairs))
-    state = _Unknowns(tuple(start or poses), np.zeros(len(PARAMETERS)), np.zeros((len(pairs), 2)), (1.0,) * len(pairs))
-    for _ in range(STEPS):
-        normal, rhs, parts = bundle.equations(state)
-        try:
-            change = cho_solve(cho_factor(normal), rhs)
-        except LinAlgError as error:
-            raise DataError("the stations' poses do not follow from their ties; give better poses") from error
-        state = bundle.moved(state, change, tuple(part.inflation for part in parts))
-        if np.abs(change).max(initial=0.0) < SMALL:
-            break
-    normal, _, parts = bundle.equations(state)
-    return Adjusted(
-        poses=state.poses,
-        covariance=np.asarray(np.linalg.inv(normal)[: bundle.free, : bundle.free], dtype=float),
-        rig=rig.moved(state.delta),
-        inflation=state.inflation,
-        residual_px=tuple(part.off_px for part in parts),
-        weights=tuple(part.weight for part in parts),
-    )
-
-
-class _Unknowns(NamedTuple):
-    """Poses of all left cameras, of which the first stays; `delta` changes of the rig's `PARAMETERS` (24,); `shifts`
-    (u, v) that the templates of each of p pairs share (p, 2) [px]; and `inflation` (p,), which residuals set."""
-
-    poses: tuple[Pose, ...]
-    delta: FloatArray
-    shifts: FloatArray
-    inflation: tuple[float, ...]
-
-
-class _Residuals(NamedTuple):
-    """Residuals of the n ties of a pair.
-
-    residual : of u, v and disparity in the farther picture, whitened, times the root of the weight. (n, 3) [-]
-    slopes : derivatives of what is computed by all unknowns, whitened and weighted alike. (n, 3, size)
-    off_px, weight : plain residuals of u and v (n, 2) [px]; Huber's weights, 0 to 1 (n,).
-    inflation : by which errors of templates should be multiplied for these residuals, 1 or more. [-]
-    """
-
-    residual: FloatArray
-    slopes: FloatArray
-    off_px: FloatArray
-    weight: FloatArray
-    inflation: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Bundle:
-    """The equations of the adjustment; `priors` and `covariances` are what `adjust` takes.
-
-    Unknowns (size,) in order: of each station but the first the rotation about x, y, z of the world [rad] and the place
-    [m], then the `loose` parameters of the rig, then u and v of each pair's shift [px].
-    """
-
-    priors: tuple[Pose, ...]
-    covariances: tuple[FloatArray, ...]
-    rig: StereoRig
-    pairs: tuple[PairTies, ...]
-
-    @property
-    def loose(self) -> IntArray:
-        """Numbers of the rig's parameters that have an error."""
-        return np.flatnonzero(np.diag(self.rig.covariance) > 0)
-
-    @property
-    def free(self) -> int:
-        """Count of the unknowns of all poses but the first; those of the rig, and shifts, come after them."""
-        return 6 * (len(self.priors) - 1)
-
-    def moved(self, state: _Unknowns, change: FloatArray, inflation: tuple[float, ...]) -> _Unknowns:
-        """The unknowns after a step `change` (size,) in their order, with another inflation of each pair."""
-        turns, moves = np.split(change[: self.free].reshape(-1, 2, 3), 2, axis=1)
-        poses = [
-            Pose(rotation=rotation_of(turn[0]) @ pose.rotation, center_m=pose.center_m + move[0])
-            for pose, turn, move in zip(state.poses[1:], turns, moves, strict=True)
-        ]
-        delta, rest = state.delta.copy(), change[self.free :]
-        delta[self.loose] += rest[: len(self.loose)]
-        shifts = state.shifts + rest[len(self.loose) :].reshape(-1, 2)
-        return _Unknowns((state.poses[0], *poses), delta, shifts, inflation)
-
-    def equations(self, state: _Unknowns) -> tuple[FloatArray, FloatArray, list[_Residuals]]:
-        """Normal matrix (size, size) and right-hand side (size,) of a Gauss-Newton step, and the residuals of pairs."""
-        size, rig = self.free + len(self.loose) + 2 * len(self.pairs), slice(self.free, self.free + len(self.loose))
-        normal, rhs = np.zeros((size, size)), np.zeros(size)
-        moved = np.array([now.center_m - prior.center_m for now, prior in zip(state.poses, self.priors, strict=True)])
-        for k in range(1, len(self.priors)):
-            weight = np.linalg.inv(self.covariances[k])
-            turned = vector_of(state.poses[k].rotation @ self.priors[k].rotation.T)
-            by = np.zeros((6, size))
-            by[:, 6 * k - 6 : 6 * k] = np.eye(6)
-            if k > 1:
-                by[3:, 6 * k - 9 : 6 * k - 6] = -np.eye(3)
-            normal += by.T @ weight @ by
-            rhs -= by.T @ weight @ np.concatenate([turned, moved[k] - moved[k - 1]])
-        weight = np.linalg.inv(self.rig.covariance[np.ix_(self.loose, self.loose)])
-        normal[rig, rig] += weight
-        rhs[rig] -= weight @ state.delta[self.loose]
-        shifts = np.arange(rig.stop, size)
-        normal[shifts, shifts] += SHIFTED_PX**-2
-        rhs[shifts] -= SHIFTED_PX**-2 * state.shifts.ravel()
-        parts = [self._residuals(state, index, pair, size) for index, pair in enumerate(self.pairs)]
-        for part in parts:
-            flat = part.slopes.reshape(-1, size)
-            normal += flat.T @ flat
-            rhs += flat.T @ part.residual.ravel()
-        return normal, rhs, parts
-
-    def _residuals(self, state: _Unknowns, index: int, pair: PairTies, size: int) -> _Residuals:
-        """What the farther station sees of points less where these are as the nearer one sees them.
-
-        Weights are Huber's of a tie by its whole residual. Errors of templates are inflated for residuals to fit them:
-        single ones scatter by `OVERLAPPING` less in variance than they count; medians, of which that of the chi-square
-        of two is 1.386.
-        """
-        ties, rig = pair.ties, self.rig.moved(state.delta)
-        points = state.poses[pair.near].to_world(triangulated(rig, ties.near_px, ties.near_disparity))
-        near, far = (_seen_by(rig, state.poses[k], points, self.loose) for k in (pair.near, pair.far))
-        by_near = far.by_point @ np.linalg.inv(near.by_point)
-        of_near = by_near @ _diagonal(ties.near_sigma, SMALLEST_PX**2 * np.eye(2)) @ by_near.swapaxes(1, 2)
-        template = ties.covariance + OVERLAPPING * SMALLEST_PX**2 * np.eye(2)
-        # A disparity that is not known says nothing.
-        sigma = np.where(np.isfinite(ties.far_disparity), ties.far_sigma, 1e6)
-        covariance = of_near + _diagonal(sigma, state.inflation[index] ** 2 * template)
-        off = np.nan_to_num(np.column_stack([ties.far_px, ties.far_disparity]) - far.pixels)
-        off[:, :2] -= state.shifts[index]
-        slopes = np.zeros((len(off), 3, size))
-        for station, by_pose in ((pair.near, -by_near @ near.by_pose), (pair.far, far.by_pose)):
-            if station:
-                slopes[:, :, 6 * station - 6 : 6 * station] += by_pose
-        slopes[:, :, self.free : self.free + len(self.loose)] = far.by_rig - by_near @ near.by_rig
-        first = self.free + len(self.loose) + 2 * index
-        slopes[:, :2, first : first + 2] = np.eye(2)
-        whiten = np.linalg.inv(np.linalg.cholesky(covariance))
-        residual = np.einsum("nij,nj->ni", whiten, off)
-        weight = huber_weights((residual**2).sum(axis=1), 3)
-        root = np.sqrt(weight)[:, None]
-        alone = math.sqrt(OVERLAPPING) * np.linalg.inv(np.linalg.cholesky(template))
-        square = (np.einsum("nij,nj->ni", alone, off[:, :2]) ** 2).sum(axis=1)
-        by_defined = np.trace(alone @ of_near[:, :2, :2] @ alone.swapaxes(1, 2), axis1=1, axis2=2)
-        inflation = float(np.median(square)) / 1.386 - 0.5 * float(np.median(by_defined))
-        return _Residuals(
-            residual * root, whiten @ slopes * root[..., None], off[:, :2], weight, math.sqrt(max(1.0, inflation))
-        )
-
-
-def _diagonal(sigma: FloatArray, places: FloatArray) -> FloatArray:
-    """Covariances of (u, v, disparity) (n, 3, 3), from errors of disparities (n,) and covariances of (u, v), one each
-    or one for all: (n, 2, 2) or (2, 2). [px^2], [px], [px^2]"""
-    covariance = np.zeros((len(sigma), 3, 3))
-    covariance[:, :2, :2], covariance[:, 2, 2] = places, sigma**2
-    return covariance
-
-
-def triangulated(rig: StereoRig, left_px: FloatArray, disparity: FloatArray) -> FloatArray:
-    """Points (n, 3) on the rays of left pixels (n, 2) at which u of the right pixel less that of the left is so."""
-    rays = rig.left.rays(left_px)
-    depth = np.full(len(rays), 5.0)
-    for _ in range(20):
-        pixels = rig.right.project(rays * depth[:, None] @ rig.rotation.T + rig.translation_m)
-        off = pixels[:, 0] - left_px[:, 0] - disparity
-        # u_right - u_left goes as a constant less f b / depth.
-        if np.abs(off).max(initial=0.0) < 1e-9:
-            break
-        depth = 1 / np.maximum(1 / depth + off / (rig.left.fx_px * rig.baseline_m), 1e-3)
-    return np.asarray(rays * depth[:, None])
-
-
-class _Side(NamedTuple):
-    """What one station's rig shows of n points: u, v and disparity (n, 3) [px], and their derivatives by the point in
-    the world (n, 3, 3), the left camera's rotation [rad] and place [m] (n, 3, 6), the rig's `loose` parameters."""
-
-    pixels: FloatArray
-    by_point: FloatArray
-    by_pose: FloatArray
-    by_rig: FloatArray
-
-
-def _seen_by(rig: StereoRig, pose: Pose, points: FloatArray, loose: IntArray) -> _Side:
-    """Pixels and disparities of points (n, 3) of the world [m] with their derivatives; `pose` of the left camera."""
-    local = pose.to_camera(points)
-    left = rig.left.project_with_derivatives(local)
-    right = rig.right.project_with_derivatives(local @ rig.rotation.T + rig.translation_m)
-    by_left, by_right = left.by_pose[..., 3:], right.by_pose[..., 3:]
-    by_local = np.concatenate([by_left, (by_right @ rig.rotation - by_left)[:, :1]], axis=1)
-    by_point = by_local @ pose.rotation.T
-    by_turn = by_point @ crossed(points - pose.center_m)
-    by_rig = np.zeros((len(points), 3, len(PARAMETERS)))
-    by_rig[:, :2, :9], by_rig[:, 2, :9] = left.by_intrinsics, -left.by_intrinsics[:, 0]
-    by_rig[:, 2, 9:18], by_rig[:, 2, 21:] = right.by_intrinsics[:, 0], by_right[:, 0]
-    by_rig[:, 2, 18:21] = (by_right[:, :1] @ -crossed(local @ rig.rotation.T))[:, 0]
-    pixels = np.column_stack([left.pixels, right.pixels[:, 0] - left.pixels[:, 0]])
-    return _Side(pixels, by_point, np.concatenate([by_turn, -by_point], axis=2), by_rig[:, :, loose])
-
-
-def crossed(vectors: FloatArray) -> FloatArray:
-    """Matrices of the cross product from the left. (n, 3) to (n, 3, 3)"""
-    return np.asarray(np.cross(vectors[:, None], np.eye(3)).swapaxes(1, 2))
+def reckoned(stations: Sequence[Station]) -> FloatArray:
+    """Covariance of what dead reckoning says of s poses: pairs of one stand are off alike, but for their masts.
+    (6 s, 6 s)"""
+    stands = [station.stand or station.name for station in stations]
+    order = list(dict.fromkeys(stands))
+    by_stand = np.kron([[float(stand == other) for other in order] for stand in stands], np.eye(6))
+    steps = by_steps([stations[stands.index(stand)].covariance for stand in order])
+    return np.asarray(by_stand @ steps @ by_stand.T + block_diag(*(station.mast for station in stations)))
 
 
 class Transferred(NamedTuple):
@@ -361,12 +103,14 @@ class Transferred(NamedTuple):
     light, seen : root of its light, 0 where nothing is seen, and where something is. (h, w)
     place : rectified (u, v) in the picture that it is from, a whole pixel. (h, w, 2) [px]
     apart : (u, v) by which that pixel falls from the middle of the pixel here. (h, w, 2) [px]
+    pixels : how many of its pixels are laid.
     """
 
     light: npt.NDArray[np.float32]
     seen: BoolArray
     place: FloatArray
     apart: FloatArray
+    pixels: int
 
 
 def transfer(near: Station, pose: Pose, far: Station, far_pose: Pose) -> Transferred:
@@ -391,7 +135,7 @@ def transfer(near: Station, pose: Pose, far: Station, far_pose: Pose) -> Transfe
     pixels, cell, off = pixels[front], cell[front], (places - whole)[front]
 
     def laid(values: FloatArray | None) -> FloatArray:
-        total = np.bincount(cell, weights=values, minlength=height * width)
+        total = np.bincount(cell, weights=values, minlength=height * width).astype(float)
         return np.asarray(gaussian_filter(total.reshape(height, width), 0.7))
 
     count = laid(None)
@@ -400,9 +144,14 @@ def transfer(near: Station, pose: Pose, far: Station, far_pose: Pose) -> Transfe
     order = np.argsort(-(off**2).sum(axis=1), kind="stable")
     flat = np.full((height * width, 4), np.nan)
     flat[cell[order]] = np.column_stack([pixels[order, ::-1], off[order]])
-    place, apart = np.split(flat.reshape(height, width, 4), 2, axis=2)
+    # Between pixels that fall apart the nearest one stands for a place.
+    rows, columns = distance_transform_edt(
+        np.isnan(flat[:, 0].reshape(height, width)), return_distances=False, return_indices=True
+    )
+    place, apart = np.split(flat.reshape(height, width, 4)[rows, columns], 2, axis=2)
+    apart = apart + np.stack([columns, rows], axis=-1) - np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1)
     seen = (count > 0.25) & np.isfinite(place[..., 0])
-    return Transferred(np.where(seen, light, 0.0).astype(np.float32), seen, place, apart)
+    return Transferred(np.where(seen, light, 0.0).astype(np.float32), seen, place, apart, len(pixels))
 
 
 def features(seen: Transferred, far: Station, reach_px: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
@@ -464,7 +213,6 @@ def templates(
     seen: Transferred,
     near: Station,
     far: Station,
-    rig: StereoRig,
     reach_px: tuple[int, int],
     *,
     size_px: tuple[int, int] = TEMPLATE_PX,
@@ -488,9 +236,9 @@ def templates(
             table.append((u, v, u + peak[0] - reach_px[0] - 1, v + peak[1] - reach_px[1] - 1, *peak[2:]))
     start, goal, correlation, errors = np.split(np.array(table, dtype=float).reshape(-1, 8), (2, 4, 5), axis=1)
     sources, apart = (_nearest(values, start) for values in (seen.place, seen.apart))
-    sides = [_side(station.matches, rig, at) for station, at in ((near, sources), (far, goal + apart))]
+    sides = [_side(station.matches, station.rig, at) for station, at in ((near, sources), (far, goal + apart))]
     ties = TiePoints(*sides[0], *sides[1], errors[:, [0, 1, 1, 2]].reshape(-1, 2, 2), correlation[:, 0])
-    return TiePoints(*(values[np.isfinite(ties.near_disparity)] for values in ties))
+    return TiePoints(*(values[np.isfinite(ties.near_disparity + ties.near_sigma)] for values in ties))
 
 
 def _peak(surface: FloatArray, size: int, least: float = LEAST_CORRELATION) -> tuple[float, ...] | None:
@@ -576,31 +324,35 @@ class Localised:
     Attributes
     ----------
     stations : the s stations, as they were given.
-    poses : of all left cameras.
-    covariance : of all poses but the first, as in `Adjusted`. (6 (s - 1), 6 (s - 1)) [rad, m]
-    pairs, adjusted : ties, and how they fit.
+    pairs, adjusted : ties, and how they fit: all poses with their covariance.
     reports : of each pair that was tried.
     tied : whether a station is connected with the first one by ties. (s,)
     """
 
     stations: tuple[Station, ...]
-    poses: tuple[Pose, ...]
-    covariance: FloatArray
     pairs: tuple[PairTies, ...]
     adjusted: Adjusted
     reports: tuple[PairReport, ...]
     tied: tuple[bool, ...]
+
+    @property
+    def poses(self) -> tuple[Pose, ...]:
+        """Of all left cameras."""
+        return self.adjusted.poses
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of all poses but the first, as in `Adjusted`. (6 (s - 1), 6 (s - 1)) [rad, m]"""
+        return self.adjusted.covariance
 
     def off_sigmas(self, number: int) -> float:
         """How far dead reckoning was off since the station before, in its own sigmas of step and direction.
 
         Root mean square of six.
         """
-        station, pose = self.stations[number], self.poses[number]
-        step = pose.center_m - self.poses[number - 1].center_m
-        reckoned = station.pose.center_m - self.stations[number - 1].pose.center_m
-        off = np.concatenate([vector_of(pose.rotation @ station.pose.rotation.T), step - reckoned])
-        return math.sqrt(float(off @ np.linalg.solve(station.covariance, off)) / 6)
+        now, before = (off_of(self.poses[k], self.stations[k].pose) for k in (number, number - 1))
+        spread = apart(reckoned(self.stations), number - 1, number)
+        return math.sqrt(float((now - before) @ np.linalg.pinv(spread, hermitian=True) @ (now - before)) / 6)
 
     def place(self, number: int) -> Pose:
         """A rover's frame, that of the left camera where the rover's is not known."""
@@ -610,11 +362,9 @@ class Localised:
         return Pose(rotation=pose.rotation @ rover.rotation, center_m=pose.to_world(rover.center_m))
 
     def shared(self, one: int, other: int) -> FloatArray:
-        """Covariance of the errors of two stations' places, rotation first; nothing with the first one. (6, 6)"""
-        if not one or not other:
-            return np.zeros((6, 6))
-        rows, columns = (slice(6 * number - 6, 6 * number) for number in (one, other))
-        return np.asarray(self._carried(one) @ self.covariance[rows, columns] @ self._carried(other).T)
+        """Covariance of the errors of two stations' places, rotation first. (6, 6)"""
+        between = self.adjusted.of_pair(one, other)[:6, :6]
+        return np.asarray(self._carried(one) @ between @ self._carried(other).T)
 
     def _carried(self, number: int) -> FloatArray:
         """Derivatives of the rover's pose by that of the left camera, rotation first. (6, 6)"""
@@ -624,45 +374,36 @@ class Localised:
         return by
 
 
-def localise(stations: Sequence[Station], rig: StereoRig, *, progress: Progress | None = None) -> Localised:
+def localise(stations: Sequence[Station], *, progress: Progress | None = None) -> Localised:
     """Tie stations in pairs and adjust them all.
 
     Each is tied to the two before it, and to earlier ones that see the same ground: so a drive that comes back closes.
 
-    stations : in the order of the drive, two or more; the first one's pose is taken as it is.
-    rig : of all pairs.
+    stations : in the order of the drive, two or more; where the covariance of the first one is zero its pose is taken
+        as it is.
     """
     report_progress = progress or (lambda done, total: None)
-    poses, steps = [stations[0].pose], [station.covariance for station in stations]
+    poses, rigs, prior = [s.pose for s in stations], [s.rig for s in stations], reckoned(stations)
     pairs: list[PairTies] = []
     reports = []
+    adjusted = adjust(poses, prior, rigs, pairs)
     for b in range(1, len(stations)):
         report_progress(b - 1, len(stations))
-        reckoned = stations[b].pose.center_m - stations[b - 1].pose.center_m
-        poses.append(Pose(rotation=stations[b].pose.rotation, center_m=poses[-1].center_m + reckoned))
-        tied = False
-        for a in _partners(stations, poses, rig, b):
-            report, outcome = _tied(stations, poses, a, b, rig, np.asarray(sum(steps[a + 1 : b + 1])))
+        for a in _partners(stations, adjusted.poses, b):
+            report, outcome = _tied(stations, adjusted.poses, a, b, apart(adjusted.joint, a, b))
             reports.append(report)
             if outcome is None:
                 continue
-            pair, fitted = outcome
-            pairs.append(pair)
-            if not tied:
-                poses[b] = fitted.poses[1]
-            if a == b - 1:
-                steps[b] = fitted.covariance
-            tied = True
-    report_progress(len(stations) - 1, len(stations))
-    adjusted = adjust([s.pose for s in stations], [s.covariance for s in stations], rig, pairs, start=poses)
+            pairs.append(outcome[0])
+            start = [*adjusted.poses]
+            start[b] = outcome[1].poses[1]
+            adjusted = adjust(poses, prior, rigs, pairs, start=start)
     report_progress(len(stations), len(stations))
     together = {0}
     for _ in stations:
         together |= {k for pair in pairs if {pair.near, pair.far} & together for k in (pair.near, pair.far)}
     return Localised(
         stations=tuple(stations),
-        poses=adjusted.poses,
-        covariance=adjusted.covariance,
         pairs=tuple(pairs),
         adjusted=adjusted,
         reports=tuple(reports),
@@ -670,9 +411,9 @@ def localise(stations: Sequence[Station], rig: StereoRig, *, progress: Progress 
     )
 
 
-def _partners(stations: Sequence[Station], poses: Sequence[Pose], rig: StereoRig, b: int) -> list[int]:
+def _partners(stations: Sequence[Station], poses: Sequence[Pose], b: int) -> list[int]:
     """Stations before one that it is tied to: the next two, and those whose ground it sees most of."""
-    shares = [_shared(stations[a], poses[a], poses[b], rig) for a in range(b - 2)]
+    shares = [_shared(stations[a], poses[a], poses[b], stations[b].rig) for a in range(b - 2)]
     back = [a for a in np.argsort(shares, kind="stable")[::-1] if shares[a] >= LEAST_SHARED][:MOST_CLOSED]
     return [*range(b - 1, max(b - 3, -1), -1), *map(int, back)]
 
@@ -687,7 +428,7 @@ def _shared(first: Station, pose: Pose, other: Pose, rig: StereoRig) -> float:
 
 
 def _tied(
-    stations: Sequence[Station], poses: Sequence[Pose], a: int, b: int, rig: StereoRig, covariance: FloatArray
+    stations: Sequence[Station], poses: Sequence[Pose], a: int, b: int, covariance: FloatArray
 ) -> tuple[PairReport, tuple[PairTies, Adjusted] | None]:
     """Ties of two stations, the second of which is known beside the first with a covariance (6, 6), and both adjusted
     by them; None where there are none."""
@@ -695,7 +436,7 @@ def _tied(
     report = PairReport(a, b, near, float(seen.seen.mean()), 0, 0, 0, math.nan, ground, "")
     if not seen.seen.any() or report.overlap < 0.01:
         return report._replace(failure=f"they share no ground: overlap {report.overlap:.1%} of a picture"), None
-    motion, count = _by_features(stations, poses, near, far, seen, rig, covariance)
+    motion, count = _by_features(stations, poses, near, far, seen, covariance)
     report = report._replace(features=count, inliers=int(motion.inliers.sum()))
     if report.inliers < FEWEST:
         return report._replace(failure=_matter(report, seen)), None
@@ -703,7 +444,7 @@ def _tied(
     for reach in REACHES_PX:
         seen = transfer(stations[near], now[near], stations[far], now[far])
         for least in (LEAST_CORRELATION, LOOSE_CORRELATION):
-            ties = templates(seen, stations[near], stations[far], rig, reach, least=least)
+            ties = templates(seen, stations[near], stations[far], reach, least=least)
             if len(ties.correlation) >= 2 * FEWEST:
                 break
         report = report._replace(ties=len(ties.correlation))
@@ -711,7 +452,10 @@ def _tied(
             return report._replace(failure=_matter(report, seen)), None
         report = report._replace(correlation=float(np.median(ties.correlation)))
         fitted = adjust(
-            [poses[a], now[b]], [np.eye(6), covariance], rig, [PairTies(int(near != a), int(far != a), ties)]
+            [poses[a], now[b]],
+            block_diag(np.zeros((6, 6)), covariance),
+            [stations[k].rig for k in (a, b)],
+            [PairTies(int(near != a), int(far != a), ties)],
         )
         now[b] = fitted.poses[1]
         off = np.linalg.norm(fitted.residual_px[0], axis=1)
@@ -724,7 +468,8 @@ def _tied(
 def _nearer(
     stations: Sequence[Station], poses: Sequence[Pose], a: int, b: int
 ) -> tuple[int, int, Transferred, tuple[float, float]]:
-    """Which station sees the common ground from nearer: numbers of both, its view in the other, distances."""
+    """Which station has more pixels of the common ground, as the nearer one has: numbers of both, its view in the
+    other, distances."""
     tried = []
     for near, far in ((b, a), (a, b)):
         seen = transfer(stations[near], poses[near], stations[far], poses[far])
@@ -736,7 +481,7 @@ def _nearer(
         away = [frame.focal_px * frame.baseline_m / float(np.nanmedian(d)) if np.isfinite(d).any() else math.nan
                 for frame, d in zip(frames, disparities, strict=True)]  # fmt: skip
         tried.append((near, far, seen, (away[0], away[1])))
-    return min(tried, key=lambda t: t[3][0] / t[3][1] if t[2].seen.any() else math.inf)
+    return max(tried, key=lambda t: t[2].pixels)
 
 
 def _by_features(
@@ -745,7 +490,6 @@ def _by_features(
     near: int,
     far: int,
     seen: Transferred,
-    rig: StereoRig,
     covariance: FloatArray,
 ) -> tuple[RigidMotion, int]:
     """The motion that features and wide templates share, within reach of dead reckoning, and how many there are."""
@@ -755,19 +499,21 @@ def _by_features(
     there, here = features(seen, second, reach)
     local = _at(points, _nearest(seen.place, there))
     good = np.isfinite(local).all(axis=1)
-    rays = rig.left.rays(original_px(frame, rig, here[good] + _nearest(seen.apart, there)[good]))
-    wide = templates(seen, first, second, rig, reach, size_px=WIDE_PX, least=LOOSE_CORRELATION)
-    local = np.concatenate([local[good], triangulated(rig, wide.near_px, wide.near_disparity)])
-    return rigid_motion(local, np.concatenate([rays, rig.left.rays(wide.far_px)]), frame.focal_px), len(local)
+    lens = second.rig.left
+    rays = lens.rays(original_px(frame, second.rig, here[good] + _nearest(seen.apart, there)[good]))
+    wide = templates(seen, first, second, reach, size_px=WIDE_PX, least=LOOSE_CORRELATION)
+    local = np.concatenate([local[good], triangulated(first.rig, wide.near_px, wide.near_disparity)])
+    return rigid_motion(local, np.concatenate([rays, lens.rays(wide.far_px)]), frame.focal_px), len(local)
 
 
 def _reach_px(covariance: FloatArray, points: FloatArray, focal_px: float) -> tuple[int, int]:
     """How far an error of a pose may put points (n, 3) of a camera beside their places along u and v: 3.5 sigma, and
-    across a ray 0.4 of it, or that of the first `REACHES_PX` and more. [px]"""
+    across a ray that of the tilt and 0.4 of it, or that of the first `REACHES_PX` and more. [px]"""
     depth = float(np.nanmedian(np.linalg.norm(points, axis=1)))
     turn, move = covariance[2, 2], 0.5 * (covariance[3, 3] + covariance[4, 4])
     reach = max(int(3.5 * focal_px * math.sqrt(turn + move / depth**2)), REACHES_PX[0][0])
-    return reach, max(int(0.4 * reach), 8)
+    tilt = math.sqrt(0.5 * (covariance[0, 0] + covariance[1, 1]))
+    return reach, max(int(0.4 * reach), int(3.5 * focal_px * tilt), 8)
 
 
 def _moved(poses: Sequence[Pose], near: int, far: int, motion: RigidMotion, second: int) -> list[Pose]:

@@ -507,8 +507,8 @@ def _rig_of_written(names: str, cameras: list[WrittenCamera], way: _Way | None, 
         remarks.append("baseline from the projection matrices P; intrinsics are those of pictures before rectification")
     else:
         raise ParameterError(
-            "nothing tells how the two cameras stand to each other; give P of both (ROS), T_cn_cnm1 (Kalibr), or R and "
-            "T (OpenCV), in the file or in one beside it"
+            "the place of the right camera to the left one is missing; give P of both (ROS), T_cn_cnm1 (Kalibr), or R "
+            "and T (OpenCV), in the file or in one beside it"
         )
     return StereoRig(
         name=names,

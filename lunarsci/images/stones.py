@@ -15,6 +15,9 @@ SMALLEST_M = 0.03
 FLATNESS = (0.3, 0.6)
 """Height over diameter of rocks put in: means at landing sites are 0.4 to 0.6, and half buried ones are flatter
 (Golombek & Rapp 1997, 10.1029/96JE03319)."""
+ALBEDO, PATTERNS, BUMPS, WAVES = (0.1, 0.3), (0.0, 0.05, 0.12), (0.0, 0.08, 0.2), (0.15, 0.8)
+"""Of rocks put in, all assumed: mean and scatter of the logarithm of their albedo over the ground's, of waves across
+them the heights in albedo and in slope, and the lengths in diameters."""
 INJECTED = 75
 """Rocks put in at a time; of twice as many a share is known to 0.5 / sqrt(150) = 0.04."""
 
@@ -81,12 +84,20 @@ def spots(scene: StonePair, largest_m: float, rng: np.random.Generator) -> Float
 
 
 class _Stone(NamedTuple):
-    """A polyhedron: |p| <= reach along each normal, of p = shape @ (point - middle). (n, 3), (n,), (3, 3), (3,)"""
+    """A polyhedron: |p| <= reach along each normal, of p = shape @ (point - middle). (n, 3), (n,), (3, 3), (3,)
+
+    `albedo` is over the ground's; it and the normals wave along `waves` (m, 4), whose last column is a phase, by
+    `pattern` and by `bumps`.
+    """
 
     normals: FloatArray
     reach: FloatArray
     shape: FloatArray
     middle: FloatArray
+    albedo: float
+    waves: FloatArray
+    pattern: float
+    bumps: float
 
     def met(self, start: FloatArray, ways: FloatArray) -> tuple[BoolArray, FloatArray, npt.NDArray[np.intp]]:
         """Whether rays from (3,) or (n, 3) along ways (n, 3) meet it, at what length, and which face. (n,) each"""
@@ -99,12 +110,26 @@ class _Stone(NamedTuple):
         first = enter.max(axis=1)
         return (first < leave.min(axis=1)) & (leave.min(axis=1) > 0), first, face
 
+    def looks(self, points: FloatArray, face: npt.NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+        """Albedo over the ground's, and the normal, at points (n, 3) of faces (n,). (n,), (n, 3)"""
+        normals = self.normals @ self.shape
+        normals = (normals / np.linalg.norm(normals, axis=1, keepdims=True))[face]
+        phases = (points - self.middle) @ self.waves[:, :3].T + self.waves[:, 3]
+        tint = self.albedo * np.prod(1 + self.pattern * np.sin(phases), axis=1)
+        ways = self.waves[:, :3] / np.linalg.norm(self.waves[:, :3], axis=1, keepdims=True)
+        normals = normals + self.bumps * np.cos(phases) @ ways
+        return tint, normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
 
 def _stone(scene: StonePair, foot: FloatArray, diameter: float, height: float, rng: np.random.Generator) -> _Stone:
     """A stone of twelve faces on the ground at a point (3,), of this width and height above it [m]."""
     normals = rng.standard_normal((12, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    reach = rng.uniform(0.75, 1.0, 12)
+    # Within a box, since twelve planes at random may leave a way out.
+    normals, reach = (
+        np.vstack([normals, np.eye(3), -np.eye(3)]),
+        np.concatenate([rng.uniform(0.75, 1.0, 12), np.ones(6)]),
+    )
     ways = rng.standard_normal((400, 3))
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     surface = ways * (reach / np.maximum(ways @ normals.T, 1e-3)).min(axis=1)[:, None]
@@ -117,7 +142,19 @@ def _stone(scene: StonePair, foot: FloatArray, diameter: float, height: float, r
     # Three tenths of it are below the ground.
     half = np.array([0.5 * diameter, 0.5 * diameter * rng.uniform(0.7, 1.0), 0.5 * height / 0.7])
     shape = np.diag(np.array(widest) / half) @ np.vstack([level, scene.up])
-    return _Stone(normals, reach, shape, foot + scene.up * (height - half[2]))
+    lengths = rng.uniform(*WAVES, 10)[:, None] * diameter
+    waves = rng.standard_normal((10, 3))
+    waves *= 2 * math.pi / lengths / np.linalg.norm(waves, axis=1, keepdims=True)
+    return _Stone(
+        normals,
+        reach,
+        shape,
+        foot + scene.up * (height - half[2]),
+        math.exp(rng.normal(*ALBEDO)),
+        np.column_stack([waves, rng.uniform(0, 2 * math.pi, 10)]),
+        float(rng.choice(PATTERNS)),
+        float(rng.choice(BUMPS)),
+    )
 
 
 def put_stone(
@@ -142,7 +179,7 @@ def put_stone(
         if right - left < 8 or low - top < 8:
             return np.full(4, np.nan)
         window = (slice(top, low), slice(left, right))
-        fine = min(2.0, 72 / (right - left))
+        fine = min(2.0, 200 / (right - left))
         shape = max(round((low - top) * fine), 8), max(round((right - left) * fine), 8)
         x = left - 0.5 + (np.arange(shape[1]) + 0.5) * (right - left) / shape[1]
         y = top - 0.5 + (np.arange(shape[0]) + 0.5) * (low - top) / shape[0]
@@ -184,13 +221,12 @@ def _lit(
     floor = ((foot - eye) @ scene.up) / np.minimum(ways @ scene.up, -1e-6)
     on = hit & (length > 0) & (length < floor)
     dark, *_ = stone.met(eye + ways * floor[:, None], np.broadcast_to(scene.sun, ways.shape))
-    normals = stone.normals @ stone.shape
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     view = -ways / np.linalg.norm(ways, axis=1, keepdims=True)
-    mu0 = np.maximum(normals @ scene.sun, 0.0)[face]
+    tint, normals = stone.looks(eye + ways * np.where(on, length, 0.0)[:, None], face)
+    mu0 = np.maximum(normals @ scene.sun, 0.0)
     mu, level, seen = (
-        np.maximum(a, 0.02) for a in ((normals[face] * view).sum(axis=1), scene.up @ scene.sun, view @ scene.up)
+        np.maximum(a, 0.02) for a in ((normals * view).sum(axis=1), scene.up @ scene.sun, view @ scene.up)
     )
-    bright = ground * np.minimum(mu0 / (mu0 + mu) * (level + seen) / level, 3.0)
+    bright = ground * tint * np.minimum(mu0 / (mu0 + mu) * (level + seen) / level, 3.0)
     light = np.where(on, np.maximum(bright, 0.04 * ground), np.where(dark, np.minimum(under, 0.04 * ground), under))
     return light.reshape(x.shape).astype(np.float32), on.reshape(x.shape), (on | dark).reshape(x.shape)

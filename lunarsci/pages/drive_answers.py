@@ -254,7 +254,7 @@ def like(parameters: Mapping[str, Any]) -> str:
     learned_text = (
         f"The soil for predictions, median and 68 %: {'; '.join(lines)}."
         if lines
-        else "Nothing of it is better known now."
+        else "No parameter is better known now."
     )
     return f"{learned_text}{unmoved}"
 
@@ -270,7 +270,7 @@ def _after(name: str) -> str:
     return f"\u202f{symbol}" if symbol == "°" else f" {symbol}" if symbol else ""
 
 
-@answers("How right the prediction was", "twin-compare")
+@answers("Was the prediction right?", "twin-compare")
 def compared(result: Result) -> ResultAnswer:
     end, verdict = result.get("end"), str(result["verdict"])
     where = "" if not end or end.get("error_m") is None else f" {_ended(end)}"
@@ -288,7 +288,7 @@ def _ended(end: Result) -> str:
     return f"{at} the rover was {error} m from where it was predicted to be."
 
 
-@answers("What the belief of the soil rests on", "twin-history")
+@answers("The drives behind the belief of the soil", "twin-history")
 def believed(result: Result) -> ResultAnswer:
     drives = result["drives"]
     learned = [one for one in drives if not one.get("refused")]
@@ -477,8 +477,12 @@ def _inferred(joint: Result) -> ResultAnswer:
         for name, one in determined
     ]
     if not lines:
-        return ResultAnswer("These wheel states hardly tell more of the soil than was believed before.")
-    rest = " The rest is hardly known better than before." if len(determined) < len(joint["parameters"]) else ""
+        return ResultAnswer("These wheel states determine no parameter of the soil better than the priors do.")
+    rest = (
+        " The other parameters are hardly known better than before."
+        if len(determined) < len(joint["parameters"])
+        else ""
+    )
     return ResultAnswer(f"These wheel states determine, with 68 %: {'; '.join(map(str.strip, lines))}.{rest}")
 
 
@@ -506,7 +510,7 @@ def compared_soils(result: Result) -> ResultAnswer:
     near = [one for one in result["soils"] if one.get("strength_distance") is not None]
     best = min(near, key=lambda one: float(one["strength_distance"]), default=None)
     nearest = f"; nearest in strength is {best['name']}" if best else ""
-    return ResultAnswer(f"The site is set beside {counted(len(result['soils']), 'soil')}{nearest}.")
+    return ResultAnswer(f"The site is compared with {counted(len(result['soils']), 'soil')}{nearest}.")
 
 
 @answers("Published numbers", "reproduce")

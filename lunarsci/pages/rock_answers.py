@@ -168,7 +168,7 @@ def match(result: Result) -> ResultAnswer:
     rocks = result["rocks"]
     open_ones = [rock for rock in rocks if rock.get("best") is None]
     of = "" if len(open_ones) == len(rocks) else f" for {len(open_ones)} of {counted(len(rocks), 'rock')}"
-    worth = f"Which source it is, is not decided{of}." if open_ones else ""
+    worth = f"The source is not decided{of}." if open_ones else ""
     where = " The site is taken to be Chang'E-4's; none was given." if result["site"].get("assumed") else ""
     return ResultAnswer(f"{each(rocks, _one_match, 'rock', _match_in_short)}{where}", trust=worth)
 
@@ -218,7 +218,7 @@ def library_checked(result: Result) -> ResultAnswer:
     members = result["end_members"]
     bad = [one["id"] for one in members if one["must_mend"]]
     remarked = sum(bool(one["remarks"]) for one in members)
-    noted = f" Of {remarked} there is something to know, below." if remarked else ""
+    noted = f" Remarks on {remarked} of them are below." if remarked else ""
     if bad:
         return ResultAnswer(f"{len(bad)} of {counted(len(members), 'end member')} must be mended before use.{noted}")
     return ResultAnswer(f"{counted(len(members), 'end member')}, fit for use.{noted}")

@@ -256,5 +256,5 @@ def trust(record: Mapping[str, Any], caution: str = "") -> tuple[bool, str]:
     heard = heard_of(record)
     warned = f", but gave {counted(len(heard), 'warning')}, below" if heard else ""
     if caution:
-        return True, f"The command found nothing that forbids to use it, but warns: {caution.rstrip('.')}."
+        return True, f"The result may be used, but the command warns: {caution.rstrip('.')}."
     return True, f"The command found nothing against this result{warned}."

@@ -144,7 +144,7 @@ class SavedBlocks:
             except BlockingIOError:
                 self._header.close()
                 raise OutputError(
-                    f"{self.folder.parent}: another command is at it; wait, or give another name"
+                    f"{self.folder.parent}: another command is writing it; wait, or give another name"
                 ) from None
 
     def _saved_header(self) -> dict[str, Any]:

@@ -14,6 +14,20 @@ _DIGESTED = 4096
 """Rows that are digested at a time."""
 
 
+class Picked(Sequence[Any]):
+    """Those of a sequence at some places, each made when it is asked for."""
+
+    def __init__(self, whole: Sequence[Any], places: Sequence[int]) -> None:
+        self.whole, self.places = whole, places
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+    def __getitem__(self, index: Any) -> Any:
+        place = self.places[index]
+        return Picked(self.whole, place) if isinstance(index, slice) else self.whole[place]
+
+
 class AlikeSpectra(NamedTuple):
     """Arrays of n spectra with the same c usable channels and kinds of errors, in these channels.
 

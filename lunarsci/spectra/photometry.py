@@ -441,7 +441,7 @@ def correction_factor(geometry: Geometry, wavelength_nm: FloatArray, disk: str, 
     if not here * _GRAZING > geometry.cos_incidence:
         raise ParameterError(
             f"{disk} vanishes at incidence {geometry.incidence_deg:g}, emission {geometry.emission_deg:g}, phase "
-            f"{geometry.phase_deg:g} deg; nothing seen so flat can be corrected"
+            f"{geometry.phase_deg:g} deg; such grazing angles cannot be corrected"
         )
     level = geometry.cos_incidence / STANDARD.cos_incidence * standard / here
     return level * np.exp(-phase.log_ratio(geometry.phase_deg, wavelength_nm))

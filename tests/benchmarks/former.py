@@ -426,7 +426,7 @@ class Answers:
         for part in ("inputs", "tables", "sources", "seed"):
             assert made["provenance"][part] == printed["provenance"][part]
         assert len(found.to_table()) == len(found.answers()) > 0
-        assert "<table" in found._repr_html_()
+        assert "<table" in (html := found._repr_html_()) and "data:image/png" in html and len(html) < 400_000
         assert found.plot().axes
 
 

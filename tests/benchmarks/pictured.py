@@ -169,8 +169,9 @@ def merged(count: int = 2) -> "Figure":
 
 def ties(count: int = 2, name: str = "stop") -> "Figure":
     """Points that two stations share, as if they had been found: on a grid, with residuals of 0.3 px."""
+    from lunarsci.images.adjustment import Adjusted, PairTies, TiePoints
     from lunarsci.images.figures import ties_figure
-    from lunarsci.images.localisation import Adjusted, Localised, PairTies, Station, TiePoints
+    from lunarsci.images.localisation import Localised, Station
 
     matches, random = heights().matches, np.random.default_rng(4)
     u, v = (grid.ravel().astype(float) for grid in np.meshgrid(np.arange(30, 300, 30), np.arange(120, 290, 30)))
@@ -181,18 +182,21 @@ def ties(count: int = 2, name: str = "stop") -> "Figure":
     poses = tuple(replace(heights().pose, center_m=np.array([2.0 * k, 0.1 * k, 1.5])) for k in range(count))
     told = [replace(pose, center_m=pose.center_m + 0.12 * k) for k, pose in enumerate(poses)]
     stations = tuple(
-        Station(name=f"{name}{k}", matches=matches, pose=told[k], covariance=1e-4 * np.eye(6)) for k in range(count)
+        Station(
+            name=f"{name}{k}", matches=matches, rig=heights().rig, pose=told[k], covariance=1e-4 * min(k, 1) * np.eye(6)
+        )
+        for k in range(count)
     )
-    covariance = 1e-4 * np.eye(6 * (count - 1))
+    covariance = 1e-4 * np.diag([0.0] * 6 + [1.0] * 6 * (count - 1) + [0.0] * 24)
     off = 0.3 * random.standard_normal(far.shape)
     weights = (random.uniform(0.2, 1.0, len(u)),)
     fitted = Adjusted(
-        poses=poses, covariance=covariance, rig=heights().rig, inflation=(1.0,), residual_px=(off,), weights=weights
-    )
-    shown = Localised(
-        stations=stations, poses=poses, covariance=covariance, pairs=(PairTies(0, 1, found),), adjusted=fitted,
-        reports=(), tied=(True,) * count,
+        poses=poses, joint=covariance, rigs=(heights().rig,) * count, delta=np.zeros((1, 24)), rig_of=(0,) * count,
+        inflation=(1.0,), residual_px=(off,), weights=weights,
     )  # fmt: skip
+    shown = Localised(
+        stations=stations, pairs=(PairTies(0, 1, found),), adjusted=fitted, reports=(), tied=(True,) * count
+    )
     return ties_figure(shown, 0, synthetic=True)
 
 

@@ -461,9 +461,43 @@ def look(heading: float, down: float, roll: float) -> np.ndarray:
     return np.stack([across, np.cross(ahead, across), ahead], axis=1)
 
 
-def station(folder: Path, ground: Ground, told: Rig, delta: np.ndarray, seed: int, number: int) -> None:
+def sun_at(azimuth: float, height: float) -> np.ndarray:
+    """The way to it, from its azimuth and its height over the horizon. [rad]"""
+    return np.array([math.cos(height) * math.cos(azimuth), math.cos(height) * math.sin(azimuth), math.sin(height)])
+
+
+def take(
+    folder: Path, ground: Ground, told: Rig, delta: np.ndarray, seed: int, view: tuple[Any, ...], random: Any
+) -> None:
+    """Pictures and truth of a `view`: centre of the left camera [m], its heading, down and roll [rad], the way to the
+    Sun, and x from and to, y from and to, of the heights, from the centre [m]."""
     import cv2
 
+    center, angles, sun, box = view
+    rig, spot, left = perturbed(told, delta), center[:2], look(*angles)
+    right = left @ rig.rotation.T, center - left @ (rig.rotation.T @ rig.translation)
+    bodies = [rock_mesh(ground, rock, seed) for rock in ground.rocks]
+    near = [b for b in bodies if np.hypot(*(b[2][:2] - spot)) > 0.8]
+    between = 0.5 * (center + right[1])
+    scene = load([fan(ground, rig, between, angles[0]), together(near)], center)
+    zero = np.zeros(3)
+    poses = (left, zero), (right[0], right[1] - center)
+    lights = [
+        picture(scene, ground, lens, pose, sun, center, random) for lens, pose in zip(rig.lenses, poses, strict=True)
+    ]
+    gain = 0.8 / np.percentile(lights[0], 99.5)
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, light, lens in zip(("left", "right"), lights, rig.lenses, strict=True):
+        cv2.imwrite(str(folder / f"{name}.png"), counted(gain * light, lens, ground.material.electrons, random))
+    truth = _truth(scene, ground, rig, poses, sun, center, box)
+    rows = np.array([b[2] for b in near])
+    np.savez_compressed(
+        folder / "truth.npz", **truth, rocks=rows, tracks=_tracks(ground), rig=delta, left_rotation=left,
+        left_center_m=center, right_rotation=right[0], right_center_m=right[1], sun=sun,
+    )  # fmt: skip
+
+
+def station(folder: Path, ground: Ground, told: Rig, delta: np.ndarray, seed: int, number: int) -> None:
     random = np.random.default_rng((seed, 17, number))
     rig = perturbed(told, delta)
     spot = np.array([(0.0, 0.0), (7.0 * math.cos(0.05), 7.0 * math.sin(0.05))][number % 2]) * max(1, number)
@@ -475,30 +509,11 @@ def station(folder: Path, ground: Ground, told: Rig, delta: np.ndarray, seed: in
         random.normal(0, 0.02),
     ]
     center = np.array([*spot, float(ground.bare(spot[:1], spot[1:])[0]) + rig.height_m])
-    left = look(*angles)
-    right = left @ rig.rotation.T, center - left @ (rig.rotation.T @ rig.translation)
-    bodies = [rock_mesh(ground, rock, seed) for rock in ground.rocks]
-    near = [b for b in bodies if np.hypot(*(b[2][:2] - spot)) > 0.8]
-    between = 0.5 * (center + right[1])
-    scene = load([fan(ground, rig, between, angles[0]), together(near)], center)
     azimuth = random.uniform(0, 2 * np.pi) if number == 0 else random.uniform(0.3, 0.6) + _first_azimuth(seed)
-    height = math.radians(random.uniform(*ground.material.sun_deg))
-    sun = np.array([math.cos(height) * math.cos(azimuth), math.cos(height) * math.sin(azimuth), math.sin(height)])
-    zero = np.zeros(3)
-    poses = (left, zero), (right[0], right[1] - center)
-    lights = [
-        picture(scene, ground, lens, pose, sun, center, random) for lens, pose in zip(rig.lenses, poses, strict=True)
-    ]
-    gain = 0.8 / np.percentile(lights[0], 99.5)
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, light, lens in zip(("left", "right"), lights, rig.lenses, strict=True):
-        cv2.imwrite(str(folder / f"{name}.png"), counted(gain * light, lens, ground.material.electrons, random))
-    truth = _truth(scene, ground, rig, poses, sun, center)
-    rows = np.array([b[2] for b in near])
-    np.savez_compressed(
-        folder / "truth.npz", **truth, rocks=rows, tracks=_tracks(ground), rig=delta, left_rotation=left,
-        left_center_m=center, right_rotation=right[0], right_center_m=right[1], sun=sun,
-    )  # fmt: skip
+    sun = sun_at(azimuth, math.radians(random.uniform(*ground.material.sun_deg)))
+    reach = 12.0 if rig.name == "navcam" else 8.0
+    box = rig.near_m, reach, -0.45 * reach, 0.45 * reach
+    take(folder, ground, told, delta, seed, (center, angles, sun, box), random)
     degrees = [math.degrees(a) for a in angles]
     wrong = np.zeros(3) if number == 0 else random.normal(0, [0.12, 0.12, 0.03])
     turned = 0.0 if number == 0 else random.normal(0, 0.5)
@@ -527,7 +542,7 @@ def _tracks(ground: Ground) -> np.ndarray:
 
 
 def _truth(
-    scene: Any, ground: Ground, rig: Rig, poses: Any, sun: np.ndarray, center: np.ndarray
+    scene: Any, ground: Ground, rig: Rig, poses: Any, sun: np.ndarray, center: np.ndarray, box: tuple[float, ...]
 ) -> dict[str, np.ndarray]:
     lens = rig.lenses[0]
     width, height = lens.size
@@ -546,8 +561,7 @@ def _truth(
     points = np.where(hits.found[:, None], hits.points + center, np.nan)
     own = {"points_m": points.reshape(height, width, 3), "kind": hits.shape.reshape(height, width)}
     own |= {"lit": lit.reshape(height, width), "seen": seen.reshape(height, width)}
-    reach = 12.0 if rig.name == "navcam" else 8.0
-    x, y = np.arange(rig.near_m, reach, 0.01), np.arange(-0.45 * reach, 0.45 * reach, 0.01)
+    x, y = np.arange(box[0], box[1], 0.01), np.arange(box[2], box[3], 0.01)
     gx, gy = np.meshgrid(x + center[0], y + center[1])
     top = np.column_stack([gx.ravel(), gy.ravel(), np.full(gx.size, center[2] + 3.0)]) - center
     down = trace_down(scene, top) + center[2]

@@ -148,4 +148,11 @@ def test_heights_between_nodes() -> None:
     model = ElevationModel(name="plane", x0_m=1.0, y0_m=-1.0, spacing_m=0.5, height_m=height)
     assert model.at("height_m", [1.0, 1.25, 3.0], [-1.0, -0.75, 0.5]) == pytest.approx([0.0, 2.5, 18.0])
     assert np.isnan(model.at("height_m", [0.9], [0.0])).all()
+    layers = model.layers()
+    assert (
+        list(layers) == ["y_m", "x_m", "height_m", "resolution_m"]
+        and layers["x_m"][1][-1] == 3.0
+        and layers["y_m"][1][-1] == 0.5
+    )
+    assert layers["height_m"][0] == ("y_m", "x_m") and layers["height_m"][1][1, 2] == 8.0
     assert FINE < 0.01

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from lunarsci.cli import main
+from scipy.linalg import block_diag
 
 from lunarsci.images.camera import PARAMETERS, Camera, Pose, StereoRig, covariance_of
 from lunarsci.images.elevation import ElevationModel, read_elevation
@@ -101,7 +102,7 @@ def test_common_errors_are_those_of_drawn_rigs_up_to_the_edges_of_what_is_seen()
     height[(x - 3) ** 2 + y**2 < 0.25] = np.nan
     height[np.abs(y) > 0.4 * x] = np.nan
     known = np.isfinite(height)
-    found, _ = _common_errors(rig, pose, height, (1.5, -0.9, 0.02))
+    found, _ = _common_errors(rig, pose, height, (1.5, -0.9, 0.02), block_diag(np.zeros((6, 6)), rig.covariance))
     np.testing.assert_array_equal(np.isfinite(found), known)
     seen = pose.to_camera(np.column_stack([x[known], y[known], height[known]]))
     wrong = [pose.to_world(rig.triangulate(*rig.drawn(random).project(seen)).points) for _ in range(300)]

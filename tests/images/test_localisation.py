@@ -11,20 +11,20 @@ from lunarsci.cli import main
 from stations import judged
 
 from lunarsci.errors import DataError, ParameterError, RequestError
-from lunarsci.images.camera import PARAMETERS, Camera, Pose, StereoRig, covariance_of, rotation_of, vector_of
-from lunarsci.images.jobs.locate import _names, _rover, locate
-from lunarsci.images.jobs.merge import read_positions as read_shifts
-from lunarsci.images.jobs.requests import LocateRequest
-from lunarsci.images.localisation import (
+from lunarsci.images.adjustment import (
     OVERLAPPING,
     SMALLEST_PX,
     PairTies,
     TiePoints,
-    _eight,
-    _peak,
     adjust,
+    by_steps,
     triangulated,
 )
+from lunarsci.images.camera import PARAMETERS, Camera, Pose, StereoRig, covariance_of, rotation_of, vector_of
+from lunarsci.images.jobs.locate import _names, _rover, locate
+from lunarsci.images.jobs.merge import read_positions as read_shifts
+from lunarsci.images.jobs.requests import LocateRequest
+from lunarsci.images.localisation import _eight, _peak
 from lunarsci.images.pictures import png_bytes
 from lunarsci.images.render import landscape_on, render
 from lunarsci.images.rig_files import pose_text, read_pose, rig_text
@@ -53,10 +53,19 @@ def navcam() -> StereoRig:
     )
 
 
+RIG, EXACTLY = navcam(), np.zeros((6, 6))
+
+
 def in_order(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
     """Points of which neighbours in number are neighbours on the ground: strips across, each from right to left."""
     strip = np.argsort(np.argsort(x)) // 16
     return np.column_stack([x, y, z])[np.lexsort((y, strip))]
+
+
+def shifted(random: np.random.Generator, left: np.ndarray) -> np.ndarray:
+    """Places of templates (n, 2) in the left picture that share a shift, and its change over half a picture. [px]"""
+    share = np.column_stack([np.ones(len(left)), left / 512.0 - 1.0])
+    return left + share @ (0.25 * random.standard_normal((3, 2)))
 
 
 def alike(random: np.random.Generator, sigma: float, together: int) -> np.ndarray:
@@ -73,13 +82,12 @@ def drive(seed: int) -> tuple[list[Pose], list[Pose], np.ndarray, PairTies]:
     told = Pose(rotation=rotation_of(off[:3]) @ true[1].rotation, center_m=true[1].center_m + off[3:])
     ground = in_order(random.uniform(8.8, 13, TIES), random.uniform(-0.8, 0.9, TIES), random.normal(0, 0.05, TIES))
     rig = navcam().drawn(random)
-    shift = 0.25 * random.standard_normal(2)
     sides = []
     for pose, error, together in ((true[1], 0.05, 1), (true[0], TEMPLATE, 4)):
         left, right = rig.project(pose.to_camera(ground))
         disparity = right[:, 0] - left[:, 0] + 0.1 * random.standard_normal(TIES)
         sides.append((left + alike(random, error, together), disparity, np.full(TIES, 0.1)))
-    far = sides[1][0] + shift, *sides[1][1:]
+    far = shifted(random, sides[1][0]), *sides[1][1:]
     ties = TiePoints(*sides[0], *far, np.zeros((TIES, 2, 2)), np.ones(TIES))
     return true, [true[0], told], np.diag(spread**2), PairTies(1, 0, ties)
 
@@ -89,7 +97,7 @@ def test_poses_are_as_wrong_as_they_say() -> None:
     scores, errors = [], []
     for seed in range(40):
         true, told, prior, pair = drive(seed)
-        found = adjust(told, [np.eye(6), prior], navcam(), [pair])
+        found = adjust(told, by_steps([EXACTLY, prior]), [RIG] * 2, [pair])
         pose = found.poses[1]
         off = np.concatenate([vector_of(pose.rotation @ true[1].rotation.T), pose.center_m - true[1].center_m])
         scores.append(off @ np.linalg.solve(found.covariance, off))
@@ -117,8 +125,8 @@ def course(seed: int, pairs: list[tuple[int, int]]) -> tuple[list[Pose], list[Po
             left, right = rig.project(pose.to_camera(ground))
             disparity = right[:, 0] - left[:, 0] + 0.1 * random.standard_normal(TIES)
             sides.append((left + alike(random, error, together), disparity, np.full(TIES, 0.1)))
-        shifted = sides[1][0] + 0.25 * random.standard_normal(2), *sides[1][1:]
-        found.append(PairTies(near, far, TiePoints(*sides[0], *shifted, np.zeros((TIES, 2, 2)), np.ones(TIES))))
+        moved = shifted(random, sides[1][0]), *sides[1][1:]
+        found.append(PairTies(near, far, TiePoints(*sides[0], *moved, np.zeros((TIES, 2, 2)), np.ones(TIES))))
     return true, told, [np.diag(spread**2)] * 4, found
 
 
@@ -128,7 +136,7 @@ def test_chains_are_as_wrong_as_they_say(pairs: list[tuple[int, int]]) -> None:
     scores, ends = [], []
     for seed in range(8):
         true, told, priors, ties = course(seed, pairs)
-        found = adjust(told, priors, navcam(), ties)
+        found = adjust(told, by_steps([EXACTLY, *priors[1:]]), [RIG] * 4, ties)
         off = np.concatenate(
             [
                 np.concatenate([vector_of(p.rotation @ t.rotation.T), p.center_m - t.center_m])
@@ -167,7 +175,7 @@ def test_a_station_without_ties_keeps_its_step_from_the_one_before() -> None:
     told = [STEPPED[0], *(Pose(rotation=pose.rotation, center_m=pose.center_m + off) for pose in STEPPED[1:])]
     step = np.array([0.4, 0.5, 0.6])
     loose = np.diag(np.concatenate([[0.01] * 3, step]) ** 2)
-    found = adjust(told, [loose] * 3, navcam(), [seen_from(STEPPED, 1, 0, 1)])
+    found = adjust(told, by_steps([EXACTLY, loose, loose]), [RIG] * 3, [seen_from(STEPPED, 1, 0, 1)])
     np.testing.assert_allclose(found.poses[1].center_m, STEPPED[1].center_m, atol=3e-4)
     apart = told[2].center_m - told[1].center_m
     np.testing.assert_allclose(found.poses[2].center_m - found.poses[1].center_m, apart, atol=1e-9)
@@ -186,7 +194,7 @@ def test_a_station_between_two_that_are_tied_shares_the_gap_by_the_errors_of_its
     told = [*STEPPED[:2], Pose(rotation=STEPPED[2].rotation, center_m=STEPPED[2].center_m + gap)]
     before, after = np.array([0.1, 0.2, 0.1]), np.array([0.2, 0.1, 0.1])
     errors = [np.diag(np.concatenate([[0.01] * 3, step]) ** 2) for step in (before, before, after)]
-    found = adjust(told, errors, navcam(), [seen_from(STEPPED, 2, 0, 2)])
+    found = adjust(told, by_steps([EXACTLY, *errors[1:]]), [RIG] * 3, [seen_from(STEPPED, 2, 0, 2)])
     np.testing.assert_allclose(found.poses[2].center_m, STEPPED[2].center_m, atol=3e-3)
     closed = found.poses[2].center_m - told[2].center_m
     np.testing.assert_allclose(
@@ -219,7 +227,7 @@ def test_errors_of_templates_are_inflated_to_what_they_are(times: float) -> None
         sides += [left + off, right[:, 0] - left[:, 0] + 0.1 * random.standard_normal(count), np.full(count, 0.1)]
     ties = TiePoints(*sides, np.tile(template, (count, 1, 1)), np.ones(count))
     told = np.diag(np.array([0.005, 0.005, 0.0175, 0.15, 0.15, 0.1]) ** 2)
-    found = adjust(poses, [np.eye(6), told], rig, [PairTies(1, 0, ties)])
+    found = adjust(poses, by_steps([EXACTLY, told]), [rig] * 2, [PairTies(1, 0, ties)])
     assert found.inflation[0] ** 2 == pytest.approx(times**2, rel=0.034)
 
 
@@ -228,7 +236,7 @@ def test_a_loop_that_closes_knows_its_end_better() -> None:
     ends = []
     for pairs in (open_pairs, [*open_pairs, (0, 3)]):
         _, told, priors, ties = course(5, pairs)
-        ends.append(np.trace(adjust(told, priors, navcam(), ties).covariance[-3:, -3:]))
+        ends.append(np.trace(adjust(told, by_steps([EXACTLY, *priors[1:]]), [RIG] * 4, ties).covariance[-3:, -3:]))
     assert ends[1] < 0.8 * ends[0]
 
 
@@ -332,10 +340,10 @@ def test_what_cannot_be_tied_is_said(
 
 def test_wild_ties_move_little() -> None:
     _, told, prior, pair = drive(3)
-    plain = adjust(told, [np.eye(6), prior], navcam(), [pair])
+    plain = adjust(told, by_steps([EXACTLY, prior]), [RIG] * 2, [pair])
     wild = pair.ties.far_px.copy()
     wild[::20] += 6.0
-    bent = adjust(told, [np.eye(6), prior], navcam(), [pair._replace(ties=pair.ties._replace(far_px=wild))])
+    bent = adjust(told, by_steps([EXACTLY, prior]), [RIG] * 2, [pair._replace(ties=pair.ties._replace(far_px=wild))])
     assert np.linalg.norm(bent.poses[1].center_m - plain.poses[1].center_m) < 0.02
     assert bent.weights[0][::20].max() < 0.5 < np.median(bent.weights[0])
 

@@ -131,7 +131,7 @@ def test_files_of_opencv_are_a_rig_in_metres(tmp_path: Path, end: str) -> None:
         assert "T is in mm" in rig.read_as[0]
         assert "`translation_unit`" in rig.read_as[0]
     assert the_rig(cameras([whole], translation_unit="cm")).baseline_m == pytest.approx(1.5, rel=1e-3)
-    with pytest.raises(DataError, match="nothing tells how the two cameras stand"):
+    with pytest.raises(DataError, match="the place of the right camera to the left one is missing"):
         cameras([inner])
 
 

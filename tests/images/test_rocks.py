@@ -8,12 +8,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.signal import correlate
+from scipy.stats import norm
 
 from lunarsci.errors import DataError, RequestError
 from lunarsci.images.camera import Pose
 from lunarsci.images.jobs.requests import RocksRequest
 from lunarsci.images.jobs.rocks import RockList
 from lunarsci.images.matching import Rectified, StereoMatches
+from lunarsci.images.rock_network import _convolved, embedded_network, levels, rock_candidates, scores
 from lunarsci.images.rocks import RockSurvey, _false_rate, _logistic, _parallax, _scene, find_rocks
 from lunarsci.images.stones import put_stone, spots
 from lunarsci.io.inputs import read_input
@@ -88,25 +91,66 @@ def test_plain_ground_has_next_to_no_rocks_and_larger_ones_are_missed_less() -> 
     assert 8 < survey().searched_m2 < 40
 
 
-def test_false_finds_are_counted_by_decoys() -> None:
+def test_false_finds_are_counted_by_the_laws_of_scores() -> None:
     """Two normal laws: the chance at a score is the ratio of their densities, by the numbers in each."""
     rng = np.random.default_rng(2)
-    decoys = rng.normal(-2, 1, 4000)
     own = np.concatenate([rng.normal(-2, 1, 4000), rng.normal(3, 1, 1000)])
-    doubt, threshold = _false_rate(own, decoys, rng.normal(3, 1, 200), 0.05)
+
+    def odds(at: np.ndarray) -> np.ndarray:
+        return np.asarray(np.exp(norm.logpdf(at, 3, 1) - norm.logpdf(at, -2, 1)))
+
+    doubt, threshold = _false_rate(own, odds, 0.05)
     above = np.sort(own[:4000][own[:4000] > threshold])
-    assert len(above) / (own > threshold).sum() == pytest.approx(0.05, abs=0.05)
+    assert len(above) / (own > threshold).sum() == pytest.approx(0.05, abs=0.02)
     assert doubt(np.array([4.0]))[0] < 0.05 < doubt(np.array([-1.0]))[0]
-    # Where no rock is, one that surely is like those put in would be seen all the same.
-    empty, at = _false_rate(rng.normal(-2, 1, 4000), decoys, rng.normal(3, 1, 200), 0.05)
+    # Where no rock is, one that surely looks like one would be seen all the same.
+    empty, at = _false_rate(rng.normal(-2, 1, 4000), odds, 0.05)
     assert empty(np.array([1.0]))[0] > 0.5 and at < 8 and empty(np.array([at + 1]))[0] < 0.05
+
+
+def test_layers_are_correlations() -> None:
+    """As scipy has them, with holes between the weights and places left out."""
+    rng = np.random.default_rng(5)
+    values, weights = rng.standard_normal((2, 21, 24)), rng.standard_normal((3, 2, 3, 3))
+    for dilation, step in ((1, 1), (2, 1), (3, 2)):
+        wide = np.zeros((3, 2, 2 * dilation + 1, 2 * dilation + 1))
+        wide[:, :, ::dilation, ::dilation] = weights
+        right = [correlate(values, w, mode="valid")[0, ::step, ::step] + 0.5 for w in wide]
+        assert _convolved(values, weights, np.full(3, 0.5), dilation, step) == pytest.approx(np.array(right))
+
+
+def test_scores_are_of_their_places() -> None:
+    """In strips and inside a part as in one piece."""
+    _, images = next(levels(_scene(plane(), POSE, (60.0, 30.0))[0]))
+    part = np.zeros(images.shape[1:], dtype=bool)
+    part[301:450, 77:120] = True
+    every = scores(embedded_network(), images[:, 200:500, :200], np.ones((300, 200), bool))
+    some = scores(embedded_network(), images, part)
+    assert np.isfinite(some).sum() == part[::2, ::2].sum()
+    assert some[151:225, 39:60] == pytest.approx(every[51:125, 39:60], abs=1e-3)
+
+
+def test_a_stone_is_seen_where_it_is() -> None:
+    scene, _ = _scene(plane(), POSE, (60.0, 30.0))
+    rng = np.random.default_rng(1)
+    pictures = scene.left.copy(), scene.right.copy()
+    boxes = [
+        put_stone(scene, pictures, np.array([u, v, 0.12, 0.06]), 0.0, rng)
+        for u, v in ((330.0, 300.0), (200.0, 260.0), (420.0, 350.0))
+    ]
+    above = _parallax(scene.ground, *pictures)
+    detected = rock_candidates(scene._replace(left=pictures[0], right=pictures[1], above=above), 0.3)
+    likeliest = sorted(detected.places[:3].tolist())
+    for (u, v, width, height), place in zip(sorted(map(tuple, boxes)), likeliest, strict=True):
+        assert abs(place[0] - u) < 0.35 * width and abs(place[1] - v) < 0.35 * height
+        assert 0.6 * width < place[2] < 1.6 * width
 
 
 def test_logistic_regression_finds_the_law_it_was_drawn_from() -> None:
     rng = np.random.default_rng(3)
     x = rng.standard_normal((20000, 2))
     true = rng.random(20000) < 1 / (1 + np.exp(-(0.5 + x @ [1.0, -2.0])))
-    values, covariance = _logistic(x, true.astype(float), np.ones(20000), 1e-6)
+    values, covariance = _logistic(x, true.astype(float), 1e-6)
     assert (np.abs(values - [0.5, 1.0, -2.0]) < 4 * np.sqrt(np.diag(covariance))).all()
 
 

@@ -287,8 +287,8 @@ def test_a_match_that_decides_nothing_is_not_approved() -> None:
     def trust(*rocks: object) -> str:
         return answer(replace(of("match modes", rocks=list(rocks)), provenance=nothing)).trust
 
-    assert trust(undecided) == "Which source it is, is not decided."
-    assert trust(undecided, clear) == "Which source it is, is not decided for 1 of 2 rocks."
+    assert trust(undecided) == "The source is not decided."
+    assert trust(undecided, clear) == "The source is not decided for 1 of 2 rocks."
     assert trust(clear).startswith("The command found nothing against")
 
 

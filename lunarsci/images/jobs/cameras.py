@@ -116,7 +116,7 @@ class CameraSheet(Result):
         from lunarsci.images.figures import range_page
 
         if not self.rigs:
-            raise ParameterError("one camera tells no ranges; give a rig, or the labels of the left and right picture")
+            raise ParameterError("ranges need two cameras; give a rig, or the labels of the left and right picture")
         away = np.geomspace(RANGES_M[0], RANGES_M[-1], 40)
         rows = [self.ranges(rig, [float(a) for a in away]) for rig in self.rigs]
         errors = [

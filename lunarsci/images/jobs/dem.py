@@ -102,6 +102,9 @@ class StereoTerrain(Result):
                 rings.append({"range_from_m": low, "range_to_m": top, "nodes": int(inside.sum())} | medians)
         return rings
 
+    def layers(self) -> dict[str, Any]:
+        return self.model.layers()
+
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.images.figures import dem_figure
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
@@ -11,9 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError, RequestError
+from lunarsci.images.adjustment import crossed
 from lunarsci.images.camera import Pose, StereoRig
 from lunarsci.images.jobs.dem import nearest_ground_m
-from lunarsci.images.jobs.requests import LocateRequest
+from lunarsci.images.jobs.requests import LocateRequest, MergeRequest
 from lunarsci.images.localisation import ODD_SIGMAS, Localised, Station, localise
 from lunarsci.images.matching import match
 from lunarsci.images.pictures import Picture, read_picture
@@ -110,7 +111,8 @@ class LocatedStations(Result):
     def _row(self, k: int) -> dict[str, Any]:
         station, pose = self.localised.stations[k], self.localised.poses[k]
         place, before = self.localised.place(k), self.localised.shared(k, max(k - 1, 0))
-        errors = self.localised.shared(k, k) if k else np.diag([0.0] * 3 + [FIRST_M**2] * 3)
+        errors = self.localised.shared(k, k)
+        errors = errors if errors.any() else np.diag([0.0] * 3 + [FIRST_M**2] * 3)
         heading, down, roll = pose.angles_deg()
         turned = math.degrees(math.sqrt(errors[2, 2]))
         yaw = None if station.rover is None else math.degrees(math.atan2(*place.rotation[[1, 0], 0]))
@@ -201,25 +203,45 @@ def locate(
     >>> stations = lunarsci.locate(["lunarsci-demo", "station-2"], rig="lunarsci-demo/rig.toml")
     """
     request = request_of(LocateRequest, request, options)
+    rig, count = read_rig(request.rig), len(stations)
+    report = progress or (lambda done, total: None)
+    read = read_stations(stations, request, lambda _: rig, progress=lambda done: report(done, 2 * count))
+    result = localise(read.stations, progress=lambda done, total: report(count + done, 2 * count))
+    return LocatedStations(localised=result, rig=rig, inputs=read.inputs, synthetic=read.synthetic)
+
+
+class StationsRead(NamedTuple):
+    """Matched stations, SHA-256 of each file by its name, and whether a picture or a rig says that it is made up."""
+
+    stations: list[Station]
+    inputs: dict[str, str]
+    synthetic: bool
+
+
+def read_stations(
+    stations: Sequence[str | Path],
+    request: LocateRequest | MergeRequest,
+    rig_of: Callable[[Path], StereoRig],
+    *,
+    progress: Callable[[int], None],
+) -> StationsRead:
+    """Stations of folders, each by its rig, with their pairs matched. Raises DataError and RequestError."""
     whole = [Path(folder).resolve() for folder in stations]
     reasons = ["one station has nothing to be tied to; give two or more folders"] if len(whole) < 2 else [
         f"{folder} is given twice; each station is a folder of its own"
         for k, folder in enumerate(stations) if whole[k] in whole[:k]
     ]  # fmt: skip
     refuse(reasons, kind=RequestError)
-    rig = read_rig(request.rig)
     inputs: dict[str, str] = {}
     names = _names(whole)
-    read = [_read(Path(folder), rig, request, inputs) for folder in stations]
-    count = len(stations)
-    report = progress or (lambda done, total: None)
+    rigs = [rig_of(Path(folder)) for folder in stations]
+    read = [_read(Path(folder), rig, request, inputs) for folder, rig in zip(stations, rigs, strict=True)]
     matched: list[Station] = []
-    for number, (name, content) in enumerate(zip(names, read, strict=True)):
-        report(number, 2 * count)
-        matched.append(_station(name, content, rig, request, matched[-1] if matched else None))
-    result = localise(matched, rig, progress=lambda done, total: report(count + done, 2 * count))
-    made_up = "SYNTHETIC" in rig.name or any(content.synthetic for content in read)
-    return LocatedStations(localised=result, rig=rig, inputs=inputs, synthetic=made_up)
+    for number, (name, content, rig) in enumerate(zip(names, read, rigs, strict=True)):
+        progress(number)
+        matched.append(_station(name, content, rig, request, matched))
+    made_up = any(content.synthetic or "SYNTHETIC" in rig.name for content, rig in zip(read, rigs, strict=True))
+    return StationsRead(matched, inputs, made_up)
 
 
 def _names(whole: Sequence[Path]) -> list[str]:
@@ -241,6 +263,7 @@ class _Read(NamedTuple):
     time_s : of the pictures; None where it is not known. [s]
     rover : the rover's frame in that of the left camera; None where it is not known.
     synthetic : whether it says that it is made up.
+    stand : name of the place where the rover did not move, or how it stood there; '' where neither is known.
     """
 
     left: Picture
@@ -249,9 +272,10 @@ class _Read(NamedTuple):
     time_s: float | None
     rover: Pose | None
     synthetic: bool
+    stand: str
 
 
-def _read(folder: Path, rig: StereoRig, request: LocateRequest, inputs: dict[str, str]) -> _Read:
+def _read(folder: Path, rig: StereoRig, request: LocateRequest | MergeRequest, inputs: dict[str, str]) -> _Read:
     """A station's folder; `inputs` takes its files. Raises DataError for what belongs to no station of this rig."""
     pose_file = read_input(folder / "pose.toml")
     files = [read_input(_picture(folder, side)) for side in SIDES]
@@ -265,36 +289,53 @@ def _read(folder: Path, rig: StereoRig, request: LocateRequest, inputs: dict[str
     for picture in pictures:
         check_rig_of(rig, *picture.size, picture.source.name)
         picture.check()
-    time_s, attitude = _more_of_pose(pose_file)
-    mast = request.mast_m()
+    time_s, attitude, stand = _more_of_pose(pose_file)
+    mast = request.mast_m() if isinstance(request, LocateRequest) else None
     if mast is not None and attitude is None:
         raise DataError(f"{pose_file.name}: `mast` needs how the rover stood there; add {', '.join(ATTITUDE)}")
     rover = None if mast is None or attitude is None else _rover(rig, pose, attitude, mast)
-    return _Read(pictures[0], pictures[1], pose, time_s, rover, any(b"SYNTHETIC" in file.data[:4000] for file in files))
+    synthetic = any(b"SYNTHETIC" in file.data[:4000] for file in files)
+    return _Read(pictures[0], pictures[1], pose, time_s, rover, synthetic, stand)
 
 
-def _station(name: str, content: _Read, rig: StereoRig, request: LocateRequest, before: Station | None) -> Station:
-    """A station with its pair matched. Raises DataError where it does not match."""
+def _station(
+    name: str, content: _Read, rig: StereoRig, request: LocateRequest | MergeRequest, before: Sequence[Station]
+) -> Station:
+    """A station with its pair matched, after those `before`. Raises DataError where it does not match."""
     nearest = nearest_ground_m(rig, content.pose, rig.height_m)
-    return Station(
+    one = Station(
         name=name,
         matches=match(content.left, content.right, rig, nearest_m=nearest),
+        rig=rig,
         pose=content.pose,
-        covariance=_covariance(content.pose, before, request, rig.height_m),
+        covariance=np.zeros((6, 6)),
         time_s=content.time_s,
         rover=content.rover,
     )
+    if isinstance(request, LocateRequest):
+        return replace(one, covariance=_covariance(content.pose, before, request, rig.height_m))
+    mast = math.radians(request.mast_error) * np.array([1.0, 1.0, 1.0, *[rig.baseline_m] * 3])
+    stand = content.stand or name
+    same = next((station.covariance for station in before if station.stand == stand), None)
+    return replace(
+        one,
+        covariance=_covariance(content.pose, before, request, rig.height_m) if same is None else same,
+        stand=stand,
+        mast=np.diag(mast**2),
+    )
 
 
-def _more_of_pose(file: InputFile) -> tuple[float | None, tuple[float, ...] | None]:
-    """Time, and yaw, pitch and roll of the rover, of a pose.toml; None where it does not say them. Raises DataError."""
+def _more_of_pose(file: InputFile) -> tuple[float | None, tuple[float, ...] | None, str]:
+    """Time, yaw, pitch and roll of the rover, and where it stood, of a pose.toml; None and '' where it does not say
+    them. Raises DataError."""
     table = toml_document(text(file))
     given = [name for name in ("time_s", *ATTITUDE) if name in table]
     for name in given:
         if isinstance(table[name], bool) or not isinstance(table[name], int | float) or not math.isfinite(table[name]):
             raise DataError(f"{file.name}: {name} is {table[name]!r}; give a number")
     time_s = float(table["time_s"]) if "time_s" in table else None
-    return time_s, tuple(float(table[name]) for name in ATTITUDE) if set(ATTITUDE) <= set(given) else None
+    attitude = tuple(float(table[name]) for name in ATTITUDE) if set(ATTITUDE) <= set(given) else None
+    return time_s, attitude, str(table.get("station", "" if attitude is None else attitude))
 
 
 def _rover(rig: StereoRig, pose: Pose, attitude: Sequence[float], mast_m: Sequence[float]) -> Pose:
@@ -312,12 +353,19 @@ def _picture(folder: Path, side: str) -> Path:
     raise DataError(f"{folder}: no {side}.png; a station is a folder with left.png, right.png and pose.toml")
 
 
-def _covariance(pose: Pose, before: Station | None, request: LocateRequest, height_m: float) -> FloatArray:
+def _covariance(
+    pose: Pose, before: Sequence[Station], request: LocateRequest | MergeRequest, height_m: float
+) -> FloatArray:
     """Of dead reckoning: of direction, and of the step from the station before. (6, 6)
 
-    A camera at `height_m` over the wheels is moved by their way, and by what the rover leans at both stations.
+    A camera at `height_m` over the wheels is moved by their way, and by what the rover leans at both stations. Of the
+    first station place and heading are the map's, and its level is exact unless maps are made.
     """
-    way = 0.0 if before is None else float(np.linalg.norm(pose.center_m - before.pose.center_m))
     tilt, turn = math.radians(request.tilt_error), math.radians(request.heading_error)
+    if not before:
+        level = np.diag([tilt, tilt, 0.0]) * isinstance(request, MergeRequest)
+        leant = np.concatenate([level, crossed(np.array([[0.0, 0.0, -height_m]]))[0] @ level])
+        return np.asarray(leant @ leant.T)
+    way = float(np.linalg.norm(pose.center_m - before[-1].pose.center_m))
     step = math.hypot(request.drift * way, math.sqrt(2) * tilt * height_m)
     return np.diag(np.square([tilt, tilt, turn, step, step, step]))

@@ -25,8 +25,8 @@ class CalibrateCamerasRequest:
     square : Side of a square, or distance of circles (asymmetric: half of that in a row), in m.
     marker : Side of a charuco's markers, in m.
     circle : Diameter of the circles, in m, which corrects their middles; 0 does not.
-    dictionary : Of a charuco's markers, as OpenCV calls it.
-    square_error : Error of the board's size, as a share; the baseline has it.
+    dictionary : Dictionary of a charuco's markers, by its name in OpenCV.
+    square_error : Error of the board's size, as a share; the baseline has the same.
     distortion : Terms to find: 0, 1 (k1), 2 (k2), 4 (p1, p2) or 5 (k3).
     name : Of the camera or rig.
     """
@@ -60,8 +60,8 @@ class CamerasRequest:
     Attributes
     ----------
     disparity_error : Random error of a disparity, in px, for the ranges' errors.
-    translation_unit : Of T in a file of OpenCV, which does not say it.
-    picture_size : Width x height in px, where a file of OpenCV does not say it.
+    translation_unit : Unit of T in a file of OpenCV, which does not state it.
+    picture_size : Width x height of the pictures in px, which a file of OpenCV does not state.
     """
 
     disparity_error: float = 0.2
@@ -137,20 +137,33 @@ class LocateRequest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MergeRequest:
-    """How models are laid together.
+    """How models, or pairs, are laid together.
 
     Attributes
     ----------
     positions : Where each model belongs, in their order: CSV with x_m, y_m, z_m and xx_m2, xy_m2, yy_m2, zz_m2 or
         sigma_m. Without it they share a frame.
-    spacing : Distance of the map's nodes, in m; that of the finest model by default.
+    spacing : Distance of the map's nodes, in m; that of the finest model, or 0.02 m, by default.
+    rig : The cameras of all folders: a name or a file as of `dem`. Without it each folder's rig.toml.
+    farthest : Largest range that is gridded, in m.
+    drift : Error of dead reckoning as a share of the way between stations (assumed).
+    heading_error : Error of the headings of the rover from station to station, in deg (assumed).
+    tilt_error : Error of the rover's level at each station, in deg (assumed).
+    mast_error : Error of the mast's angles from pair to pair of one station, in deg (assumed).
     """
 
     positions: str | Any | None = None
     spacing: float | None = None
+    rig: str | None = None
+    farthest: float | None = None
+    drift: float = 0.03
+    heading_error: float = 1.0
+    tilt_error: float = 0.3
+    mast_error: float = 0.2
 
     def __post_init__(self) -> None:
-        check_intervals(self, {"(0, 1000)": "spacing"})
+        check_intervals(self, {"(0, 1000)": "spacing", "(0, 10000)": "farthest", "(0, 1]": "drift"})
+        check_intervals(self, {"(0, 45]": "heading_error", "(0, 20]": "tilt_error", "[0, 20]": "mast_error"})
 
 
 Law = Literal["lommel-seeliger", "hapke"]
@@ -165,17 +178,17 @@ class RenderRequest:
     rig : The cameras: yutu2-pancam, yutu2-navcam, yutu2-hazcam, or a TOML file.
     x : Where the left camera is, along x, in m.
     y : Where the left camera is, along y, in m.
-    heading : Where it looks, from x towards y, in deg.
-    down : How far below the horizon, in deg.
+    heading : Direction in which it looks, from x towards y, in deg.
+    down : Angle below the horizon, in deg.
     roll : Turned clockwise about its axis, in deg.
-    height : Over the ground, in m.
+    height : Height above the ground, in m.
     spacing : Side of the ground's triangles, in m.
     rocks : Rocks of 4 cm and more on a square metre.
     roughness : Factor on the roughness assumed of regolith; 0 leaves the terrain as it is.
-    track : What wheels left: CSV of x_m, y_m, and rut_m or sinkage_m; the ground is lower there.
+    track : Track of the wheels: CSV of x_m, y_m, and rut_m or sinkage_m; the ground is lower there.
     track_width : Width of the wheels, in m.
-    sun_azimuth : Where the Sun is, from x towards y, in deg.
-    sun_elevation : Over the horizon, in deg.
+    sun_azimuth : Azimuth of the Sun, from x towards y, in deg.
+    sun_elevation : Elevation of the Sun above the horizon, in deg.
     law : How the ground scatters light.
     samples : Rays along each side of a pixel.
     exact : Take the rig as it is, not a draw from its covariance.
@@ -268,7 +281,7 @@ class TrackRequest:
     Attributes
     ----------
     line : Along the middle of the track: x1,y1,x2,y2,... in m, or a GeoJSON file.
-    before : Heights before the drive, with errors, which these are then subtracted from: no ground is interpolated.
+    before : Heights before the drive, with errors. The depth is their difference, and no ground is interpolated.
     rover : Whose wheel it was: a name (yutu2, small-four) or a TOML file.
     width : Width of the wheel in m, in place of the rover's.
     window : Length of track in m that gives one depth.

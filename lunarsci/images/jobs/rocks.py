@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 SOURCES = [
     "Golombek & Rapp (1997), J. Geophys. Res. 102, 4117, 10.1029/96JE03319: heights of rocks",
-    "Elias & Gygi (2007), Nat. Methods 4, 207, 10.1038/nmeth1019: false finds from a search among decoys",
+    "LeCun et al. (1998), Proc. IEEE 86, 2278, 10.1109/5.726791: networks of this kind",
     "Efron (2008), Stat. Sci. 23, 1, 10.1214/07-STS236: probability of a single find",
 ]
 CORNERS = 24
@@ -103,7 +103,8 @@ class RockList(Result):
         """What the numbers rest on."""
         notes = [
             "looked for on lit ground that both pictures show; in deep shadow and behind crests no rock is seen",
-            "completeness is of stones of twelve faces that were rendered into these pictures",
+            "the network that knows rocks was taught on SYNTHETIC scenes and has seen none of the Moon",
+            "completeness is of stones with flat faces that were rendered into these pictures",
         ]
         if self.request.sun is None:
             notes.append("the Sun's direction was taken from the light of the ground: `sun` states it")

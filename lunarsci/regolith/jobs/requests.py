@@ -174,7 +174,7 @@ class InferRequest(IdentifyRequest):
     density : Soil density in kg/m³, for `bulldozing` and `law` auto.
     gravity : Gravity in m/s², for `bulldozing` and `law` auto.
     contact : Contact angles c1-c3 and the exponent's slope in skid are unknown too; by integration.
-    sample : Draw from the posterior itself, not a normal law.
+    sample : Draw from the posterior itself, not from a normal distribution.
     profile : Intervals by profile: the best of all else at each value.
     model_error : Share of the load by which the model misses a force; found from the residuals if not given.
     predict : Wheel states whose forces the soil predicts: slip_ratio, side_slip_deg, normal_force_n, and where known

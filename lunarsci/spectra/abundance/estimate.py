@@ -422,7 +422,7 @@ def _check(spectra: Sequence[Spectrum], minerals: Sequence[str], model_error: fl
     if not 0 < model_error < 1:
         raise ParameterError(f"model error is {model_error:g}; give a number above 0 and below 1, such as 0.03")
     if not 0 < len(spectra) <= MOST_SPECTRA:
-        raise ParameterError(f"{len(spectra)} spectra; a suite has 1 to {MOST_SPECTRA}: split it, or unmix one by one")
+        raise ParameterError(f"{len(spectra)} spectra together; give 1 to {MOST_SPECTRA}, or unmix one by one")
 
 
 def _held(names: Sequence[str], minerals: Sequence[str], present: Sequence[Sequence[str] | None]) -> FloatArray:

@@ -102,7 +102,7 @@ def _page(path: Path, record: Mapping[str, Any], layers: Sequence[Mapping[str, A
     thinned = tuple(slice(None, None, max(1, -(-size // MOST_PIXELS))) for size in shape)
     for panel, layer in zip(panels, (None, *layers), strict=False):
         name = layer["name"] if layer else FLAG_LAYER
-        _draw(figure, panel, _pixels(path, name, numbers[name], thinned), layer, extent)
+        _draw(figure, panel, pixels_of(path, name, numbers[name], thinned), layer, extent)
         panel.set_aspect(drawn / long)
         panel.set_xlabel("along the lines [km]" if ground else "sample [px]")
     for number, panel in enumerate(panels[: len(layers) + 1]):
@@ -132,8 +132,8 @@ def _title(record: Mapping[str, Any], squeezed: float, ground: _Ground | None) -
     return f"{as_label(Path(record['cube']['file']).name, 80)}\n{', '.join(parts)}"
 
 
-def _pixels(path: Path, name: str, number: int, part: tuple[slice, ...]) -> FloatArray:
-    """Some lines and samples of a layer, as many as a panel can show."""
+def pixels_of(path: Path, name: str, number: int, part: tuple[slice, ...]) -> FloatArray:
+    """Some lines and samples of a layer, which is the `number`-th from 1."""
     if SUFFIXES[path.suffix.lower()] == "netcdf":
         return np.asarray(netcdf(str(path))[name][part].values, float)
     with opened(str(path), "GTiff") as dataset:
@@ -185,7 +185,7 @@ def _ground(path: Path, shape: tuple[int, int], numbers: Mapping[str, int]) -> _
     if not numbers.keys() >= set(PLACES) or min(shape) < 2:
         return None
     middle = tuple(slice(size // 2 - 1, size // 2 + 1) for size in shape)
-    longitude, latitude = (np.radians(_pixels(path, name, numbers[name], middle)) for name in PLACES)
+    longitude, latitude = (np.radians(pixels_of(path, name, numbers[name], middle)) for name in PLACES)
     east = (np.unwrap(longitude, axis=1) - longitude[0, 0]) * np.cos(latitude[0, 0]) * MOON_RADIUS_KM
     north = (latitude - latitude[0, 0]) * MOON_RADIUS_KM
     return _Ground((float(east[0, 1]), float(north[0, 1])), (float(east[1, 0]), float(north[1, 0])), "north")

@@ -18,6 +18,7 @@ from lunarsci.spectra.bands import BandsOfSpectra, SpectrumBands, measure_batch
 from lunarsci.spectra.chemistry.bands import KEYS, chemistries, plane_pages
 from lunarsci.spectra.chemistry.bands import TABLE as CHONDRITES
 from lunarsci.spectra.chemistry.plane import PLANE_TABLE, TABLE, Estimates
+from lunarsci.spectra.collection import Picked
 from lunarsci.spectra.jobs.requests import BandsRequest
 from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource, read_batch
 from lunarsci.spectra.spectrum import Smoothing
@@ -103,9 +104,9 @@ class MeasuredBands(Result):
         return [text for source, text in REGRESSIONS.items() if source in used]
 
     @property
-    def good(self) -> list[SpectrumBands]:
-        """Those with a result."""
-        return [item for item in self.measured if isinstance(item, SpectrumBands)]
+    def good(self) -> Sequence[SpectrumBands]:
+        """Those with a result, each made when it is asked for."""
+        return Picked(self.measured, [k for k in range(len(self.measured)) if k not in self.measured.reasons])
 
     @property
     def doubt(self) -> Doubt:
@@ -151,8 +152,9 @@ class MeasuredBands(Result):
 
     def remarks(self) -> list[tuple[int, str, str, str]]:
         """Place and id of the spectrum, key of the band and sentence of every note and status that is not `ok`."""
+        names = self.batch.spectra.ids
         return [
-            (place, self.batch.spectra.ids[place], band.key, text)
+            (place, names[place], band.key, text)
             for number, band in enumerate(BANDS)
             for which in (CODE.note, CODE.status)
             for place, text in enumerate(self.measured.texts(number, which))

@@ -17,6 +17,7 @@ from lunarsci.spectra.abundance.kinds import TABLE as KINDS_TABLE
 from lunarsci.spectra.abundance.nbsr import TABLE as NBSR_TABLE
 from lunarsci.spectra.abundance.nbsr import PyroxeneAbundances, nbsr_abundances
 from lunarsci.spectra.abundance.result import Abundance
+from lunarsci.spectra.collection import Picked
 from lunarsci.spectra.jobs.requests import FitRequest, ModelRequest
 from lunarsci.spectra.jobs.verdicts import with_causes
 from lunarsci.spectra.mgm import PERCENT_OF, MgmContinuum
@@ -80,9 +81,11 @@ class MgmFits(Result):
     files: Sequence[InputFile] = ()
 
     @property
-    def good(self) -> list[MgmFit]:
-        """The fits without the failures."""
-        return [item for item in self.fits if isinstance(item, MgmFit)]
+    def good(self) -> Sequence[MgmFit]:
+        """The fits without the failures, each made when it is asked for."""
+        failed = self.fits.failures if isinstance(self.fits, SpectraFits) else None
+        bad = failed if failed is not None else {k for k, one in enumerate(self.fits) if isinstance(one, MgmFailure)}
+        return Picked(self.fits, [k for k in range(len(self.fits)) if k not in bad])
 
     @property
     def made_from(self) -> MadeFrom:

@@ -105,6 +105,16 @@ class CubeMap(Result):
         codes = " ".join(f"{name}={count}" for name, count in self.codes.get(layer.name, {}).items() if count)
         return row | {"determined": share, "p05": low, "median": median, "p95": high, "codes": codes}
 
+    def layers(self) -> dict[str, Any]:
+        """Of the written file, lines and samples as of the cube; all of it is read."""
+        from lunarsci.spectra.cubes.figure import pixels_of
+
+        region, whole = self.made.region, (slice(None), slice(None))
+        firsts = zip(("line", "sample"), (region.lines[0], region.samples[0]), region.shape, strict=True)
+        axes = {name: ((name,), first + region.step * np.arange(count)) for name, first, count in firsts}
+        names = [layer.name for layer in self.made.layers]
+        return axes | {n: (tuple(axes), pixels_of(self.path, n, k, whole)) for k, n in enumerate(names, 1)}
+
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.spectra.cubes.figure import map_pages
 

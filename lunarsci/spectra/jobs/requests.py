@@ -310,13 +310,13 @@ class MatchRequest:
     name : Name of that rock.
     site : Where the rock was found, in degrees, east positive. Left out: Chang'E-4, -45.44,177.56; `craters` need it.
     use : Which kind of composition is compared, where a crater has it.
-    systematic : What two methods disagree by in the share of a mineral, one standard deviation.
+    systematic : Disagreement of two methods in the share of a mineral, one standard deviation.
     band_systematic : The same for band centres, in nm.
     craters : Candidates as CSV: name, latitude_deg, longitude_deg, diameter_km; also age_low_ma, age_high_ma, olivine,
         olivine_sigma, …, bc1000_nm, bc1000_sigma_nm, …, source. Left out: the craters around Chang'E-4.
     mineral_map : GeoTIFF of a mineral's mode: its values in the ring of ejecta replace a crater's modes. May be
         repeated. Or a file of `spectra map --products unmix`.
-    annulus : That ring, in rim radii.
+    annulus : Ring of ejecta in which a map is averaged, in rim radii.
     prior : Prior of the craters. ejecta: by what each left at the site; uniform: all alike.
     ejecta_law : Law of the ejecta's thickness, from the transient crater.
     thickness_factor : Spread of the thickness about the law, one standard deviation, as a factor; 1 for none.
@@ -326,7 +326,7 @@ class MatchRequest:
     exposure : Rocks are destroyed at the surface.
     rock_life : Median life of a 2 m boulder, in Ma.
     rock_size : Size of the rock, in m.
-    life_exponent : Its life goes with this power of its size; assumed.
+    life_exponent : The life of a rock is proportional to this power of its size; assumed.
     re_excavation : Buried ejecta are brought up again.
     stirring : Factor on the local ground that falling ejecta stir up (Oberbeck).
     gardening : Buried rock that small local craters keep at the surface, as a thickness in m; assumed.

@@ -60,7 +60,7 @@ class Composition:
         if self.modes:
             check_range("sum of the modes", sum(value for value, _ in self.modes.values()), f"(0, {LARGEST_SUM}]")
         if len(self.modes) == 1:
-            raise ParameterError(f"{next(iter(self.modes))} alone is no share of anything; give two minerals or none")
+            raise ParameterError(f"{next(iter(self.modes))} alone has no share; give two minerals or none")
 
     @property
     def comparable(self) -> bool:

@@ -766,7 +766,8 @@ def _blank_edges(layers: FloatMap, half: int) -> None:
     layers[:, :, :half] = layers[:, :, -half:] = np.nan
 
 
-def _layers(surface: Traversability) -> dict[str, npt.NDArray[np.float32]]:
+def map_layers(surface: Traversability) -> dict[str, npt.NDArray[np.float32]]:
+    """Maps of the ground, NaN where unknown; sunlit where the Sun's direction is given. (ny, nx)"""
     maps = surface.maps
     return {
         "slope_deg": maps.slope_deg,
@@ -786,7 +787,7 @@ def maps_bytes(surface: Traversability) -> bytes:
     archive = io.BytesIO()
     terrain = surface.terrain
     place = {"x_m": terrain.x_m, "y_m": terrain.y_m} | ({"crs": np.array(terrain.crs)} if terrain.crs else {})
-    np.savez_compressed(archive, **place, **_layers(surface))  # type: ignore[arg-type]
+    np.savez_compressed(archive, **place, **map_layers(surface))  # type: ignore[arg-type]
     return archive.getvalue()
 
 
@@ -796,4 +797,4 @@ def maps_geotiff(surface: Traversability) -> bytes:
     Raises ParameterError without rasterio.
     """
     terrain = surface.terrain
-    return geotiff_bytes(_layers(surface), (terrain.x0_m, terrain.y0_m, terrain.spacing_m), crs=terrain.crs)
+    return geotiff_bytes(map_layers(surface), (terrain.x0_m, terrain.y0_m, terrain.spacing_m), crs=terrain.crs)

@@ -114,7 +114,7 @@ class SoilMap:
         check_ranges(self, {POSITIVE: "correlation_m", NOT_NEGATIVE: "reach_m"}, "the map's")
         for zone in self.zones:
             if dict(zone.belief.laws) != dict(self.laws):
-                raise ParameterError(f"zone '{zone.name}' began with other first laws than the map's")
+                raise ParameterError(f"zone '{zone.name}' began with other first priors than the map's")
 
     @property
     def center(self) -> FloatArray:

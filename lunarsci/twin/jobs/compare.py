@@ -161,7 +161,7 @@ def compare(
     digest = sha256(description.text.encode())
     if digest != forecast.rover_sha256:
         raise DataError(
-            f"{predicted}: predicted for {forecast.rover} as another file than {rover} has it; give `rover` as then"
+            f"{predicted}: predicted with another file of {forecast.rover} than {rover}; give the same `rover`"
         )
     if asked.plan is not None:
         inputs |= _check_plan(read_input(asked.plan), forecast)

@@ -162,9 +162,9 @@ class PlanRequest(GroundRequest):
     lonlat : Start and target are longitude to the east and latitude in deg, on a terrain with a coordinate system.
     soil : Soil, in place of the terrain's: a name or a TOML file. With `risk` a file from which each drive has its own,
         as of `twin predict`: a belief of `twin update` or its map (JSON), or CSV.
-    risk : Compare drives to the target, and take the best whose chance of breaking a limit or missing the target is at
-        most this, such as 0.05.
-    prefer : Of drives that keep the risk the one with the least of this.
+    risk : Compare drives to the target, and take the best whose probability of breaking a limit or missing the target
+        is at most this, such as 0.05.
+    prefer : Of the drives that keep the risk, take the one with the least of this.
     sweep : Uncertain soil parameter, repeatable; those of the embedded plan where no soil is given.
     members : Soils on which all are driven; the best again on twice as many.
     tolerance : Distance in m of the end from the target that counts as there.
@@ -344,9 +344,9 @@ class PredictRequest(PoweredRequest):
         lie wider apart than a wheel is large.
     keep_out : Ground that no part of the rover may enter (GeoJSON), as `images rocks -o FILE.geojson` writes it;
         repeatable.
-    as_written : Numbers of soil, rover, terrain and states are meant as they are written. Without it one that would be
-        likely in another unit is asked about, and the result is not to be trusted.
-    risk : Chance of breaking a limit or not ending that is accepted, such as 0.05, in place of the plan's; without both
+    as_written : Take the numbers of soil, rover, terrain and states as they are written. Without it the command asks
+        about a number that would be likely in another unit, and the result is not to be trusted.
+    risk : Accepted probability of breaking a limit or not ending, such as 0.05, in place of the plan's. Without either
         95 % of the drives must keep each limit, and all must end. No drive may enter ground to keep out of.
     """
 
@@ -407,8 +407,9 @@ class StatesRequest(RoverOnGround):
     until : Rows with a time_s after this are left out.
     start_time : time_s of the start of the plan, by the clock of telemetry and positions, such as seconds since 1970.
         Rows before it are left out. Without it the start is where the commands are those of the plan.
-    lag : By how much positions, headings and attitude are later than the columns of the wheels, as of another clock or
-        of wheels that follow commands late; they are put back by it. Result and findings say what the drive tells.
+    lag : Time by which positions, headings and attitude are later than the columns of the wheels, because of another
+        clock or of wheels that follow commands late; they are shifted back by it. If left out, it is found from the
+        drive.
     """
 
     positions: str | Any | None = None
@@ -442,8 +443,8 @@ class LoadsRequest(RoverOnGround):
     balance_error : Error of the balance of forces as a share of the weight; 0.005 if left out.
     iterate : Rounds, at most, of forces and soil in turn: needs `states` with sinkages.
     seed : Seed of everything random; 0 if left out.
-    as_written : Numbers of soil, rover, terrain and states are meant as they are written. Without it one that would be
-        likely in another unit is asked about, and the result is not to be trusted.
+    as_written : Take the numbers of soil, rover, terrain and states as they are written. Without it the command asks
+        about a number that would be likely in another unit, and the result is not to be trusted.
     """
 
     member: int | None = None
@@ -486,11 +487,11 @@ class UpdateRequest(RoverOnGround):
     forget : Share of the way back to the first priors, for ground further on.
     by_place : whether the soil is kept by place, as it is where `soil` is a map.
     correlation : Distance in m over which soils are alike; the map's, or 5, if left out.
-    particles : Soils that carry the belief.
+    particles : Number of soils that represent the belief.
     ruts : Whether wheels met the ruts of others; as explains the drive better, if left out.
     seed : Seed of everything random.
-    as_written : Numbers of soil, rover, terrain and states are meant as they are written. Without it one that would be
-        likely in another unit is asked about, and the result is not to be trusted.
+    as_written : Take the numbers of soil, rover, terrain and states as they are written. Without it the command asks
+        about a number that would be likely in another unit, and the result is not to be trusted.
     """
 
     plan: str | Any | None = None
@@ -522,8 +523,8 @@ class CompareRequest:
     belief : Belief (JSON) whose discrepancy of the twin's physics learns from the miss, for --save.
     rover : Rover: a name (yutu2, husky, rosey) or a TOML file.
     seed : Seed of everything random.
-    as_written : Numbers of soil, rover, terrain and states are meant as they are written. Without it one that would be
-        likely in another unit is asked about, and the result is not to be trusted.
+    as_written : Take the numbers of soil, rover, terrain and states as they are written. Without it the command asks
+        about a number that would be likely in another unit, and the result is not to be trusted.
     """
 
     positions: str | Any | None = None

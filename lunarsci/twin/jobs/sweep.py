@@ -1,8 +1,11 @@
 """Designs of a rover that differ in a few numbers, compared by their drives on one mission and the same soils."""
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
 
 from lunarsci.constants import PAPER
 from lunarsci.errors import RequestError, within_option
@@ -83,6 +86,22 @@ class DesignTrade(Result):
             {"design": number, **design.row(), "on_front": number in self.front}
             for number, design in enumerate(self.designs)
         ]
+
+    def layers(self) -> dict[str, Any]:
+        """Over the numbers that were varied where the designs are a grid of these, else over the designs."""
+        rows = self.rows()
+        grid = {one.name: np.unique([row[one.name] for row in rows]) for one in self.variations}
+        shape = tuple(map(len, grid.values()))
+        if math.prod(shape) == len(rows):
+            places = tuple(np.searchsorted(axis, [row[name] for row in rows]) for name, axis in grid.items())
+        else:
+            grid, shape, places = {"design": np.arange(len(rows))}, (len(rows),), (np.arange(len(rows)),)
+        made: dict[str, Any] = {name: ((name,), axis) for name, axis in grid.items()}
+        for key in (key for key in rows[0] if key not in (*grid, "reasons", "impossible")):
+            values = np.full(shape, np.nan)
+            values[places] = [np.nan if row[key] is None else row[key] for row in rows]
+            made[key] = (tuple(grid), values)
+        return made
 
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.twin.figures.choice import curve_page, design_front_page

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.errors import ParameterError, RequestError, within_option
+from lunarsci.heights.grid import layers_on
 from lunarsci.heights.projections import lonlat_of, projection_notes
 from lunarsci.io.inputs import read_input
 from lunarsci.io.tables import csv_bytes
@@ -22,6 +23,7 @@ from lunarsci.twin.ground.hazards import (
     Zones,
     assess,
     ground_maps,
+    map_layers,
     map_scales,
     maps_bytes,
     maps_geotiff,
@@ -215,6 +217,10 @@ class TerrainSurvey(Result):
 
     def as_input(self) -> dict[str, Callable[[], bytes]]:
         return {"terrain.npz": self.files()["terrain.npz"]}
+
+    def layers(self) -> dict[str, Any]:
+        ground = self.surface.terrain
+        return layers_on(ground.x_m, ground.y_m, {"height_m": ground.height_m, **map_layers(self.surface)})
 
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.twin.figures.maps import terrain_maps

@@ -290,7 +290,7 @@ def smooth(
     Raises DataError for fewer than two positions, or where the numbers do not hold.
     """
     if nodes.fixed.sum() < 2:
-        raise DataError("fewer than two positions of use; slip needs two or more")
+        raise DataError("fewer than two usable positions; slip needs two or more")
     robust, priors = priors is not None, priors or Priors.plain(nodes)
     try:
         reference = start or ReferenceMotion.first(nodes)
@@ -304,7 +304,9 @@ def smooth(
         change = change or SlipProcess.coarse()
         state, covariance, posterior = _averaged(nodes, reference, change, priors)
     except np.linalg.LinAlgError as error:
-        raise DataError("the motion cannot be found: errors of positions or headings are absurd") from error
+        raise DataError(
+            "the motion cannot be found; check the errors of positions and headings, and their units"
+        ) from error
     off, spread = _residuals(nodes, reference, state, covariance)
     return Smoothed(
         state=state,

@@ -99,9 +99,11 @@ def test_both_formats_hold_the_same_where_the_cube_lies(tmp_path: Path) -> None:
     from rasterio.transform import from_origin
 
     cube = tiff(tmp_path / "cube.tif", CUBE, names=NAMES, transform=from_origin(30, 20, 0.01, 0.02))
-    for suffix in ("nc", "tif"):
-        map_cube(str(cube), tmp_path / f"map.{suffix}", products="bands", roi="1:5,2:6")
+    made = [map_cube(str(cube), tmp_path / f"map.{end}", products="bands", roi="1:5,2:6") for end in ("nc", "tif")]
     found = opened(tmp_path / "map.nc")
+    for one in (each.to_xarray() for each in made):
+        np.testing.assert_array_equal(one["bc1000_nm"], found["bc1000_nm"])
+        assert one["line"].values.tolist() == [2, 3, 4, 5] and one["bc1000_nm"].attrs["units"] == "nm"
     with rasterio.open(tmp_path / "map.tif") as file:
         assert tuple(file.transform)[:6] == pytest.approx((0.01, 0, 30.01, 0, -0.02, 19.96))
         assert file.crs.to_dict()["R"] == 1737400

@@ -1,5 +1,6 @@
 """The loop of a drive in memory: results and arrays go where files go, with the same answers."""
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ def test_results_go_where_their_files_go(files: Path) -> None:
     of_result = lunarsci.update(states, particles=32, seed=1)
     of_file = lunarsci.update(files / "states.csv", particles=32, seed=1)
     assert of_result.belief.mean.tolist() == of_file.belief.mean.tolist()
+    assert "Soil after states.csv: " in str(of_result) and "<b>Soil after states.csv: " in of_result._repr_html_()
     predicted = lunarsci.predict(files / "plan.toml", soil=of_result, members=16)
     assert predicted.prediction.members == 16
     assert "1 drive" in predicted.inputs.soil_notes(16, 0)[0]
@@ -43,6 +45,12 @@ def test_a_terrain_is_arrays_or_a_table_of_nodes(files: Path) -> None:
     assert ends[0] is not None and ends[1] is not None
     assert ends[0].covering_radius_m == pytest.approx(ends[1].covering_radius_m, rel=1e-3)
     survey = lunarsci.plan((x, y, heights), target="3,0.5")
+    maps = survey.to_xarray()
+    np.testing.assert_allclose(maps["height_m"], heights, atol=1e-6)
+    np.testing.assert_allclose(maps["x_m"], x, atol=1e-9)
+    # tan of the slope is the derivative of 0.05 sin(x) along x, 0.05 at its most
+    assert float(maps["slope_deg"].max()) == pytest.approx(math.degrees(math.atan(0.05)), abs=0.3)
+    assert maps["slope_deg"].dims == ("y_m", "x_m") and maps["slope_deg"].attrs["units"] == "deg"
     again = lunarsci.predict(files / "plan.toml", terrain=survey, soil="priors", members=8).verdict.endpoint
     assert again is not None and again.covering_radius_m == pytest.approx(ends[0].covering_radius_m, rel=1e-3)
 

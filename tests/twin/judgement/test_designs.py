@@ -76,6 +76,10 @@ def test_a_climb_takes_the_energy_of_its_height_for_every_mass_and_speed_alone_o
     assert (energy > lifted).all() and (energy < 4.0 * lifted).all()
     assert energy[2] > 1.5 * energy[0]
     assert column(found, "duration_s") == pytest.approx([80.0, 40.0, 80.0, 40.0])
+    grid = found.to_xarray()
+    assert grid["duration_s"].dims == ("mass.body_kg", "plan.speed_m_s") and grid["energy_p50_j"].attrs["units"] == "J"
+    assert grid["duration_s"].values.tolist() == pytest.approx(np.array([[80.0, 40.0], [80.0, 40.0]]))
+    assert float(grid["energy_p50_j"].sel({"mass.body_kg": 140.0, "plan.speed_m_s": 0.025})) == energy[2]
     assert energy[0] == pytest.approx(energy[1], rel=0.03) and energy[2] == pytest.approx(energy[3], rel=0.03)
 
 

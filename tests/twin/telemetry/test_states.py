@@ -344,7 +344,7 @@ def test_two_positions_that_a_lag_takes_off_the_rows_are_too_few(yutu2: Rover) -
     drive, terrain = made_up(yutu2, 1, PLAN, SensorErrors(fix_sigma_m=0.007, fix_distance_m=100.0))
     findings = Findings("made-up.csv")
     sent = read_telemetry(file(drive.telemetry), yutu2, findings)
-    with pytest.raises(DataError, match="fewer than two positions of use"):
+    with pytest.raises(DataError, match="fewer than two usable positions"):
         states_of(sent, yutu2, terrain, findings, PLAN, lag_s=-5.0)
 
 
