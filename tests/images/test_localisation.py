@@ -1,5 +1,6 @@
 """Stations by what they share: adjustment beside points of known geometry, ties beside moved pictures."""
 
+import dataclasses
 import math
 import shutil
 from collections.abc import Callable
@@ -229,6 +230,25 @@ def test_errors_of_templates_are_inflated_to_what_they_are(times: float) -> None
     told = np.diag(np.array([0.005, 0.005, 0.0175, 0.15, 0.15, 0.1]) ** 2)
     found = adjust(poses, by_steps([EXACTLY, told]), [rig] * 2, [PairTies(1, 0, ties)])
     assert found.inflation[0] ** 2 == pytest.approx(times**2, rel=0.034)
+
+
+def test_stations_may_have_rigs_of_their_own() -> None:
+    """Exact points by a rig and by one of three quarters of its focal length: the second place is found, and errors of
+    both rigs are in the covariance, apart."""
+    other = dataclasses.replace(RIG, name="o", left=RIG.left.scaled(0.75), right=RIG.right.scaled(0.75))
+    random, poses = np.random.default_rng(3), STEPPED[:2]
+    ground = in_order(random.uniform(3.8, 7, TIES), random.uniform(-0.8, 1.2, TIES), random.normal(0, 0.05, TIES))
+    sides = []
+    for rig, pose in ((other, poses[1]), (RIG, poses[0])):
+        left, right = rig.project(pose.to_camera(ground))
+        sides += [left, right[:, 0] - left[:, 0], np.full(TIES, 0.1)]
+    ties = TiePoints(*sides, np.zeros((TIES, 2, 2)), np.ones(TIES))
+    told = Pose(rotation=rotation_of([0.01, -0.01, 0.02]) @ poses[1].rotation, center_m=poses[1].center_m + 0.05)
+    loose = np.diag(np.array([0.01, 0.01, 0.02, 0.1, 0.1, 0.1]) ** 2)
+    found = adjust([poses[0], told], by_steps([EXACTLY, loose]), [RIG, other], [PairTies(1, 0, ties)])
+    np.testing.assert_allclose(found.poses[1].center_m, poses[1].center_m, atol=3e-3)
+    assert found.joint.shape == (12 + 48, 12 + 48) and found.rig_of == (0, 1)
+    assert np.diag(found.of_pair(1, 1))[6] == found.joint[36, 36] > 0
 
 
 def test_a_loop_that_closes_knows_its_end_better() -> None:
