@@ -191,10 +191,11 @@ def _with_nearest(message: str) -> str:
 def _elsewhere(error: Any, message: str) -> str:
     """The other command of the group whose option of the same name has the choice that this one's has not."""
     choice, param, group = NO_CHOICE.search(message), getattr(error, "param", None), getattr(error.ctx, "parent", None)
-    if choice is None or param is None or group is None:
+    if choice is None or param is None or group is None or group.info_name not in COMMANDS:
         return ""
-    for name in group.command.list_commands(group):
-        for other in group.command.get_command(group, name).params:
+    whole: Any = _program(group.info_name, *COMMANDS[group.info_name])
+    for name, command in whole.commands[group.info_name].commands.items():
+        for other in getattr(command, "params", ()):
             if other.name == param.name:
                 with contextlib.suppress(type(error)):
                     other.process_value(error.ctx, choice[1])
