@@ -221,7 +221,9 @@ def _choice_table(choice: Mapping[str, Any]) -> TextTable:
     from lunarsci.spectra.mgm.assemblages import SURE
 
     shown = [(item, f"{100 * item['probability']:.1f}") for item in choice["candidates"]]
-    rows = [[item["assemblage"], percent, f"{item['ln_evidence']:.1f}"] for item, percent in shown if float(percent) >= 0.5]
+    rows = [
+        [item["assemblage"], percent, f"{item['ln_evidence']:.1f}"] for item, percent in shown if float(percent) >= 0.5
+    ]
     together = sum(item["probability"] for item in choice["candidates"] if item["assemblage"] in choice["family"])
     headers = ["assemblage", "recalibrated probability [%]", "ln evidence"]
     sure = ", ".join(f"{mineral} {100 * share:.0f} %" for mineral, share in choice["mineral_probability"].items())
