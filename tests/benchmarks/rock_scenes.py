@@ -344,13 +344,12 @@ def teach(crops: Crops, rounds: int, channels: int = 24) -> RockNetwork:
         rate = 3e-3 * min(1, number / 100) * (0.5 * (1 + math.cos(math.pi * number / rounds)) + 0.01)
         layers, mean, square = better(layers, mean, square, rate, number, *crops.batch(64))
         if number % 300 == 0:
-            network = RockNetwork(tuple((np.asarray(w), np.asarray(b)) for w, b in layers), np.zeros(2))
-            crops.look_again(network, 60)
-    return RockNetwork(tuple((np.asarray(w), np.asarray(b)) for w, b in layers), np.zeros(2))
+            crops.look_again(RockNetwork(tuple((np.asarray(w), np.asarray(b)) for w, b in layers), np.zeros(3)), 60)
+    return RockNetwork(tuple((np.asarray(w), np.asarray(b)) for w, b in layers), np.zeros(3))
 
 
 def odds_of(folder: Path, seeds: list[int], network: RockNetwork) -> np.ndarray:
-    """`RockNetwork.odds`: a logistic regression on scores of ground, and the highest of each rock, both weighed alike."""
+    """`RockNetwork.odds`: a logistic regression on scores of ground, and the highest of each rock, weighed alike."""
     from sklearn.linear_model import LogisticRegression
 
     high, true = [], []
