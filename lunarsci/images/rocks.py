@@ -315,7 +315,7 @@ def _false_rate(
     """The chance that a find of a score is none, and the least score at which such a share of all is expected false.
 
     Candidates are a mixture (local false discovery rate: Efron 2008, 10.1214/07-STS236): `odds` is the ratio of the
-    densities of scores of rocks and of ground; the share of rocks has the prior of `BEFORE`, and is the most probable one.
+    densities of scores of rocks and of ground; the share of rocks has the prior of `BEFORE`, and is the most probable.
     """
     rocks, number = BEFORE[0] + 0.5, BEFORE[1] + len(upright) + 1
     share = rocks / number
