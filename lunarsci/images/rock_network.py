@@ -27,7 +27,7 @@ WIDTH_PX, RATIO, LEVELS = 10.0, 1.35, 11
 by this ratio: it was taught with these."""
 DILATIONS, SEEN_PX, STEP_PX = (1, 1, 2, 3, 1, 1), 14, 2
 """Of the layers' windows, what they see about a place, and between places that are scored [px]: as it was taught."""
-KNEE = 5.0
+KNEE = 3.0
 """Score at which `RockNetwork.odds` bends; assumed."""
 STRIP = 64
 """Rows of scores that are reckoned together."""
@@ -103,7 +103,7 @@ def rock_candidates(scene: StonePair, largest_m: float, network: RockNetwork | N
     grown = [open_cv().dilate(score, np.ones((3, 3), np.uint8)) for _, _, score in scored]
     for k, (width, images, score) in enumerate(scored):
         y, x = np.nonzero((score == grown[k]) & (score > -5.0))
-        at = np.column_stack([x, y]) * float(STEP_PX)
+        at = STEP_PX * np.column_stack([x, y]).astype(np.float64)
         place = (at + 0.5) * (width / WIDTH_PX) - 0.5
         sides = [_near(grown, k + way, place, scored) for way in (-1, 1)]
         both = [np.where(np.isfinite(side), side, score[y, x] - 1.0) for side in sides]
@@ -245,7 +245,7 @@ def _raised(above: Image, at: FloatArray, score: Image) -> tuple[FloatArray, Flo
     cv2, smooth, turns = open_cv(), blurred(above, 0.25 * WIDTH_PX), np.arange(8) * math.pi / 4
     about = np.vstack([[0.0, 0.0], WIDTH_PX * np.column_stack([0.9 * np.cos(turns), 0.7 * np.sin(turns)])])
     y, x = np.nonzero(np.isfinite(score))
-    ground = np.column_stack([x, y])[:: max(len(x) // 2000, 1)] * float(STEP_PX)
+    ground = np.column_stack([x, y])[:: max(len(x) // 2000, 1)].astype(np.float64) * STEP_PX
     u, v = np.moveaxis(np.vstack([at, ground])[:, None] + about, -1, 0).astype(np.float32)
     if not len(u):
         return np.empty(0), np.empty(0), 1.0

@@ -27,6 +27,9 @@ RANGES_M = (0.0, 2.5, 3.5, 5.0, 7.0)
 """Ends of the ranges that completeness is told by. [m]"""
 FEWEST = 12
 """Rocks put in and found without which measures are not corrected; assumed."""
+BEFORE = 10, 1000
+"""Rocks among candidates that are counted before a picture is seen; assumed. Without them 6.5 instead of 5.3 % of finds
+were false on 13 scenes that the network had not seen."""
 ASSUMED = (0.0, 0.25), (0.45, 0.0, 0.1), (0.2, 0.2), (0.0, 0.2)
 """Those of `_Measures` then; assumed."""
 
@@ -312,13 +315,13 @@ def _false_rate(
     """The chance that a find of a score is none, and the least score at which such a share of all is expected false.
 
     Candidates are a mixture (local false discovery rate: Efron 2008, 10.1214/07-STS236): `odds` is the ratio of the
-    densities of scores of rocks and of ground; the share of rocks has the prior of half a rock, and is the most
-    probable one.
+    densities of scores of rocks and of ground; the share of rocks has the prior of `BEFORE`, and is the most probable.
     """
-    share = 0.5 / (len(upright) + 1)
+    rocks, number = BEFORE[0] + 0.5, BEFORE[1] + len(upright) + 1
+    share = rocks / number
     for _ in range(200):
         rock = share * odds(upright)
-        share = float((rock / (rock + 1 - share)).sum() + 0.5) / (len(upright) + 1)
+        share = float((rock / (rock + 1 - share)).sum() + rocks) / number
 
     def doubt(at: FloatArray) -> FloatArray:
         return np.asarray((1 - share) / (1 - share + share * odds(at)))
