@@ -118,10 +118,9 @@ def _pairs(record: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
             *(plus_minus(row[f"{a}_m"], row[f"{a}{a}_m2"] ** 0.5, digits=4) for a in "xyz"),
             plus_minus(row["camera_heading_deg"], row["camera_heading_deg_sigma"], digits=2),
             f"{row['from_dead_reckoning_m']:.3f}",
-            f"{1e3 * row['raised_m']:.1f}",
             "yes" if row["tied"] else "no",
         ]
         for row in record["stations"]
     ]
-    headers = ["x [m]", "y [m]", "z [m]", "heading [deg]", "from telemetry [m]", "raised [mm]", "tied"]
+    headers = ["x [m]", "y [m]", "z [m]", "heading [deg]", "from telemetry [m]", "tied"]
     return ["pair", *headers], rows

@@ -262,14 +262,14 @@ def _common_errors(
     rows, columns = np.nonzero(valid)
     away = np.column_stack([columns, rows]) * grid[2] + np.array(grid[:2]) - pose.center_m[:2]
     away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-6)
-    ways = _upwards(height, grid[2])[valid], np.pad(away, ((0, 0), (0, 1)))
+    ways = upwards(height, grid[2])[valid], np.pad(away, ((0, 0), (0, 1)))
     result = np.full((2, *height.shape), np.nan)
     for layer, way in zip(result, ways, strict=True):
         layer[valid] = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", way, spread, way), 0.0))
     return result[0], result[1]
 
 
-def _upwards(height: FloatArray, spacing_m: float) -> FloatArray:
+def upwards(height: FloatArray, spacing_m: float) -> FloatArray:
     """By what a height changes where its ground is moved along x, y, z. (ny, nx, 3) [-]"""
     slope_y, slope_x = _slope(height, spacing_m)
     return np.stack([-slope_x, -slope_y, np.ones(height.shape)], axis=-1)
@@ -288,17 +288,22 @@ class HeightModes(NamedTuple):
     of: FloatArray
 
 
-def height_modes(model: ElevationModel, rig: StereoRig, pose: Pose, root: FloatArray, count: int) -> HeightModes:
-    """The `count` modes with most of the variance, of errors whose covariance is root root^T. (30, n)"""
+def height_modes(
+    model: ElevationModel, rig: StereoRig, pose: Pose, root: FloatArray, count: int, way: FloatArray
+) -> HeightModes:
+    """The `count` modes with most of the variance, of errors whose covariance is root root^T (30, n).
+
+    way : `upwards` of the ground, the same for all models that are compared: else the noise of their slopes seems to
+        tell what they are all off by. (ny, nx, 3)
+    """
     grid = model.x0_m, model.y0_m, model.spacing_m
-    by, upwards = _by_errors(rig, pose, model.height_m, grid) @ root, _upwards(model.height_m, model.spacing_m)
-    sample = (slice(None, None, COMMON_NODES),) * 2
-    there = np.einsum("yxi,yxim->yxm", upwards[sample], by[: len(upwards[sample]), : upwards[sample].shape[1]])
+    by, sample = _by_errors(rig, pose, model.height_m, grid) @ root, (slice(None, None, COMMON_NODES),) * 2
+    there = np.einsum("yxi,yxim->yxm", way[sample], by[: way[sample].shape[0], : way[sample].shape[1]])
     there = there[np.isfinite(model.height_m[sample])]
     first = np.zeros((count, root.shape[1]))
     axes = np.linalg.svd(there, full_matrices=False)[2][:count]
     first[: len(axes)] = axes
-    layers = np.einsum("yxi,yxim->yxm", upwards, _between(by @ first.T, model.height_m.shape))
+    layers = np.einsum("yxi,yxim->yxm", way, _between(by @ first.T, model.height_m.shape))
     return HeightModes(layers, first @ np.linalg.pinv(root))
 
 

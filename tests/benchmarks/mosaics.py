@@ -12,7 +12,6 @@ and averaged where they overlap. SYNTHETIC.
 import argparse
 import json
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -171,7 +170,6 @@ def judged(found: MergedStations, folders: list[Path]) -> dict[str, Any]:
     floor = np.diag(np.tile([FLOOR] * 6, len(folders)) ** 2)
     turn = [vector_of(p.rotation @ t["left_rotation"].T) for p, t in zip(told, true, strict=True)]
     models, mean = plainly(found)
-    corrected = [replace(m, height_m=m.height_m - found.mosaic.raised(k)) for k, m in enumerate(found.models)]
     relative = off.reshape(-1, 6)[1:] - off.reshape(-1, 6)[:1]
     return {
         "tied": sum(found.mosaic.localised.tied),
@@ -182,8 +180,7 @@ def judged(found: MergedStations, folders: list[Path]) -> dict[str, Any]:
         "told_turn_deg": float(np.degrees(np.sqrt(np.mean(np.square(np.array(turn[1:]) - turn[0]))))),
         "chi_square": max((s.chi_square for s in found.mosaic.steps), default=0.0),
         "chance": min((s.chance for s in found.mosaic.steps), default=1.0),
-        "seam_mm": seam_mm(corrected),
-        "seam_adjusted_mm": seam_mm(list(found.models)),
+        "seam_mm": seam_mm(list(found.models)),
         "seam_plain_mm": seam_mm(models),
         "map": heights(found.merged.model, folders),
         "plain": heights(mean, folders),

@@ -13,10 +13,10 @@ from lunarsci.errors import RequestError
 from lunarsci.images.adjustment import apart, root_of
 from lunarsci.images.camera import Camera, Pose, StereoRig, covariance_of, rotation_of, vector_of
 from lunarsci.images.elevation import ElevationModel, Stack, blocks_of, map_of, read_elevation, reconciled
-from lunarsci.images.gridding import height_modes
+from lunarsci.images.gridding import height_modes, upwards
 from lunarsci.images.jobs.merge import MergedStations, merge
 from lunarsci.images.localisation import reckoned
-from lunarsci.images.mosaic import _seam
+from lunarsci.images.mosaic import _seam, _shares
 from lunarsci.images.pictures import png_bytes
 from lunarsci.images.render import Landscape, landscape_on, render
 from lunarsci.images.rig_files import pose_text, rig_text
@@ -185,7 +185,7 @@ def test_modes_are_what_poses_make_of_heights() -> None:
     for column, change in ((5, np.ones(x.shape)), (0, y), (1, -x)):
         root = np.zeros((30, 1))
         root[column] = 0.01
-        modes = height_modes(model, RIG, Pose.looking([0, 0, 1.5], 0.0, 30.0), root, 1)
+        modes = height_modes(model, RIG, Pose.looking([0, 0, 1.5], 0.0, 30.0), root, 1, upwards(height, 0.02))
         made = modes.by[..., 0] * (modes.of[0, column] * 0.01)
         np.testing.assert_allclose(made, 0.01 * change, atol=2e-5)
 
@@ -197,3 +197,17 @@ def test_pairs_of_a_stand_share_the_rovers_errors(found: MergedStations) -> None
     mast = np.radians(0.3) * np.array([1, 1, 1, 0.27, 0.27, 0.27])
     np.testing.assert_allclose(apart(prior, 0, 3), np.diag(2 * mast**2), atol=1e-12)
     np.testing.assert_allclose(root_of(prior) @ root_of(prior).T, prior, atol=1e-12)
+
+
+ALONE, SHARED = [[0.0, 0.0], [0.0, 9.0]], [[9.0, 9.0], [9.0, 9.0]]
+
+
+@pytest.mark.parametrize(("prior", "share"), [(ALONE, 0.1), (SHARED, 0.25), ([[0.0, 0.0], [0.0, 0.0]], 0.25)])
+def test_a_pair_counts_by_its_pose_and_not_by_what_it_shares(prior: list[list[float]], share: float) -> None:
+    """Variances of 1, and of 1 + 9 by a pose or 4: the mean of least variance has weights of 1 to 1/10 or 1/4."""
+    stack = stacked(np.array(prior), np.zeros((2, 3600)), np.ones((2, 3600, 1)), 1.0)
+    stack.variance[1] = 1.0 if share == 0.1 else 4.0
+    stack.height[1, 7] = np.nan
+    shares = _shares(stack)
+    np.testing.assert_allclose(np.delete(shares[1] / shares[0], 7), share, rtol=1e-9)
+    assert shares[1, 7] == 0.0 < shares[0, 7]

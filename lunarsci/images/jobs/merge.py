@@ -132,11 +132,9 @@ class MergedStations(Result):
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """One a station: what it was found to be off by, with errors; the offset in units of its common error. Of
-        pairs their poses, and by how much heights were raised in the median."""
+        pairs their poses."""
         if self.mosaic is not None and self.located is not None:
-            return [
-                dict(row) | {"raised_m": -self.mosaic.median_raised(k)} for k, row in enumerate(self.located.rows())
-            ]
+            return self.located.rows()
         sigma = np.sqrt(np.diag(self.merged.covariance)).reshape(self.merged.corrections.shape)
         rows = []
         for k, (name, model) in enumerate(zip(self.names, self.models, strict=True)):
