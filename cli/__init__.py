@@ -1,6 +1,7 @@
 """The `lunarsci` command."""
 
 import ast
+import contextlib
 import os
 import re
 import signal
@@ -175,7 +176,7 @@ def _report_usage(error: Any, message: str) -> int:
         error.show()
     else:
         path = context.command_path if context else "lunarsci"
-        text = _with_nearest(" ".join(message.split()).replace(": Value error, ", ": "))
+        text = _with_nearest(" ".join(message.split()).replace(": Value error, ", ": ")) + _elsewhere(error, message)
         say(f"error: {text} (see '{path} --help')")
     return int(error.exit_code)
 
@@ -185,6 +186,21 @@ def _with_nearest(message: str) -> str:
     choice = NO_CHOICE.search(message)
     near = choice and nearest(choice[1], CHOICE.findall(choice[2]))
     return f"{message} Did you mean '{near}'?" if near else message
+
+
+def _elsewhere(error: Any, message: str) -> str:
+    """The other command of the group whose option of the same name has the choice that this one's has not."""
+    choice, param, group = NO_CHOICE.search(message), getattr(error, "param", None), getattr(error.ctx, "parent", None)
+    if choice is None or param is None or group is None or group.info_name not in COMMANDS:
+        return ""
+    whole: Any = _program(group.info_name, *COMMANDS[group.info_name])
+    for name, command in whole.commands[group.info_name].commands.items():
+        for other in getattr(command, "params", ()):
+            if other.name == param.name:
+                with contextlib.suppress(type(error)):
+                    other.process_value(error.ctx, choice[1])
+                    return f" '{choice[1]}' is one of `{group.command_path} {name} {max(other.opts, key=len)}`."
+    return ""
 
 
 def _prepare_process() -> None:

@@ -1,12 +1,16 @@
 """`lunarsci info`: what a file is, and what can be done with it."""
 
+import dataclasses
+import re
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from .shared.command import command
 from .shared.emit import Report
+from .shared.options import Output, flag_of
 from .shared.table import TextTable, significant
+from .spectra.options import UNITS
 
 if TYPE_CHECKING:
     from lunarsci.guide.info import FileInfo
@@ -19,7 +23,7 @@ EXAMPLES = (
 
 
 @command("info", EXAMPLES)
-def info(file: File) -> Report:
+def info(file: File, output: Output) -> Report:
     """What a file is, what is in it, and which commands take it.
 
     Known are spectra, image cubes, pictures, terrains, plans, missions, rovers, soils, beliefs, telemetry, wheel
@@ -31,16 +35,27 @@ def info(file: File) -> Report:
     from lunarsci.guide.info import info
 
     described = info(file)
-    return Report(described, [_contents(described), _commands(described)], stored=described.stored)
+    remarks = [_typed(text) for text in described.remarks]
+    described = dataclasses.replace(described, remarks=remarks, trouble=_typed(described.trouble))
+    return Report(described, [_contents(described, output.verbose), _commands(described)], stored=described.stored)
 
 
-def _contents(described: "FileInfo") -> TextTable:
-    rows = [[name, _text(value)] for name, value in described.contents.items() if value is not None]
+def _typed(text: str) -> str:
+    """A text with what the commands of spectra must be given as it is typed there."""
+    return re.sub(r"`(\w+)`", lambda name: flag_of(name[1]) if name[1] in UNITS else name[0], text)
+
+
+def _contents(described: "FileInfo", verbose: bool) -> TextTable:
+    rows = [[name, _text(value, verbose)] for name, value in described.contents.items() if value is not None]
     notes = [*described.remarks, *([described.trouble] if described.trouble else [])]
     return TextTable(["what", "value"] if rows else [], rows, title=f"{described.file}: {described.title}", notes=notes)
 
 
-def _text(value: object) -> str:
+def _text(value: object, verbose: bool) -> str:
+    """As a table has it; of many names all where that is asked for."""
+    whole = getattr(value, "whole", value)
+    if whole != value:
+        return str(whole) if verbose else f"{value}: --verbose"
     if isinstance(value, bool):
         return "yes" if value else "no"
     return significant(value, 4) if isinstance(value, float) else str(value)

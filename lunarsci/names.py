@@ -1,20 +1,26 @@
 """Names for messages: the nearest known one to a name that is none of them, and the first of many."""
 
 import difflib
+import re
 from collections.abc import Iterable, Sequence
 
 from lunarsci.errors import ParameterError
 
 
 def nearest(name: str, names: Iterable[str]) -> str | None:
-    """The known name that is most alike, capitals aside, one with a unit behind it first; None where none is.
+    """The known name that is most alike, capitals aside: with a unit behind it, as it is, or with it as a whole word.
+
+    None where none is.
 
     >>> nearest("yutu-2", ["small-four", "yutu2"]), nearest("bc1000", ["bd1000", "bc1000_sigma_nm", "bc1000_nm"])
     ('yutu2', 'bc1000_nm')
+    >>> nearest("rock", ["dark-rock-powder", "weathered-soil", "solid-rock"])
+    'solid-rock'
     """
     by_fold = {one.casefold(): one for one in reversed(list(names))}
     longer = [one for one in by_fold if one.startswith(f"{name.casefold()}_")]
     close = [min(longer, key=len)] if longer else difflib.get_close_matches(name.casefold(), list(by_fold), n=1)
+    close = close or sorted((one for one in by_fold if name.casefold() in re.split("[-_ ]", one)), key=len)
     return by_fold[close[0]] if close else None
 
 

@@ -107,7 +107,7 @@ def test_options_named_in_pages_exist(
     others = {"--repo", "--create-namespace", "--generate-name", "--scheduler-file", "--nworkers", "--nthreads"}
     others |= {"--extra-index-url", "--strict", "--write", "--why", "--install-completion", "--show-completion"}
     others |= {"--count", "--only", "--nearest-only", "--small", "--seed", "--first", "--cut", "--halves", "--soils"}
-    others |= {"--training", "--spoiled", "--rate"}
+    others |= {"--training", "--spoiled", "--rate", "--seeds"}
     for page in PAGES:
         for option in set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", page.read_text("utf-8"))) - others:
             assert option in told, (name_of(page), option)

@@ -74,7 +74,7 @@ def before(page: Path) -> Path | None:
 
 
 def cells(notebook: Path) -> Iterator[tuple[str, str]]:
-    """Source of each cell of code without magic lines, and what it printed; a result at its end must show a picture."""
+    """Source of each cell of code, without magic lines, and what it printed; a result at its end has a picture."""
     for cell in json.loads(notebook.read_text("utf-8"))["cells"]:
         if cell["cell_type"] == "code":
             source = "".join(line for line in cell["source"] if not line.startswith("%"))

@@ -47,7 +47,8 @@ Cloud = Annotated[
 EXAMPLES = (
     "lunarsci images merge dem.npz coarse.npz",
     "lunarsci images merge dem.npz coarse.npz --spacing 0.1 -o map.npz",
-    "lunarsci images merge lunarsci-demo station-2 --rig lunarsci-demo/rig.toml -o map.npz",
+    "lunarsci images merge lunarsci-demo station-2 \\\n"
+    "  --rig lunarsci-demo/rig.toml -o pairs.npz --save-cloud pairs.ply",
 )
 
 

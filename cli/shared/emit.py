@@ -3,7 +3,7 @@
 import json
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
@@ -101,7 +101,8 @@ class Report:
     @cached_property
     def shown(self) -> Sequence[TextTable]:
         """The tables, made."""
-        return self.tables() if callable(self.tables) else self.tables
+        made = self.tables() if callable(self.tables) else self.tables
+        return [replace(table, notes=[*map(self.worded, table.notes)]) for table in made]
 
     def rows_with(self, columns: Sequence[str]) -> Sequence[Mapping[str, Any]]:
         """The rows for some columns of `--csv`: one of each thing, unless one of them is a column of its parts."""

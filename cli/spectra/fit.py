@@ -220,13 +220,17 @@ def _intervals_table(intervals: Mapping[str, Any]) -> TextTable:
 def _choice_table(choice: Mapping[str, Any]) -> TextTable:
     from lunarsci.spectra.mgm.assemblages import SURE
 
-    shown = [(item, f"{100 * item['probability']:.0f}") for item in choice["candidates"]]
-    rows = [[item["assemblage"], percent, f"{item['ln_evidence']:.1f}"] for item, percent in shown if percent != "0"]
-    headers = ["assemblage", "probability [%]", "ln evidence"]
+    shown = [(item, f"{100 * item['probability']:.1f}") for item in choice["candidates"]]
+    rows = [
+        [item["assemblage"], percent, f"{item['ln_evidence']:.1f}"] for item, percent in shown if float(percent) >= 0.5
+    ]
+    together = sum(item["probability"] for item in choice["candidates"] if item["assemblage"] in choice["family"])
+    headers = ["assemblage", "recalibrated probability [%]", "ln evidence"]
     sure = ", ".join(f"{mineral} {100 * share:.0f} %" for mineral, share in choice["mineral_probability"].items())
     notes = [
-        f"together {100 * SURE:.0f} % or more: {', '.join(choice['family'])}",
-        "probability: of the evidence, as far as laboratory spectra taught to believe it; fewer minerals come first",
+        f"the fewest that hold {100 * SURE:.0f} %: {', '.join(choice['family'])} (together {100 * together:.1f} %)",
+        "probability: of the evidence, less for every mineral more, recalibrated on laboratory spectra; so its order may "
+        "be another than that of ln evidence",
         f"probability that a mineral is there at all, if these are one or two (not its share): {sure}",
     ]
     if left := len(shown) - len(rows):

@@ -107,6 +107,7 @@ def _choice_table(survey: ChosenDrive) -> TextTable:
     verdict = f"take drive {best.number}, {best.plan.name}" if choice.feasible else "NO-GO: no drive keeps the risk"
     verdict = f"doubtful: {verdict}" if survey.soils.doubt else verdict
     accepted = f"{100 * choice.risk.share:g} %"
+    longer = best.plan.commanded_m / max(best.length_m, 1e-9) - 1.0
     held = f"`twin predict` holds its plan.toml against the same risk, {accepted}, which the plan carries"
     notes = [
         *survey.soils.doubt.reasons,
@@ -114,6 +115,7 @@ def _choice_table(survey: ChosenDrive) -> TextTable:
         f"drive {best.number}: {100 * best.stated.risk:.1f} % fail, at most {100 * best.stated.high:.1f} %; it takes "
         f"{best.duration_s / 60:.1f} min; weakest at x {best.weakest.x_m:z.2f} m, y {best.weakest.y_m:z.2f} m: "
         f"{best.weakest.why}",
+        *([f"commands are {100 * longer:.0f} % longer than its way, for the slip expected"] if longer >= 0.005 else []),
         *([held] if choice.feasible else []),
         "risk %: share of its drives that fail, with 95 % below that of to %; ~ not yet driven on fresh soils; m, J: "
         "length and work of the way; weakest: what is nearest to its limit, or most often beyond it, at so many m of "

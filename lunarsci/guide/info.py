@@ -474,8 +474,17 @@ def _picture(file: InputFile) -> Mapping[str, Any]:
     return {**contents, "camera": "unnamed" if named is None else named[1] or named[2], **camera_contents(file)}
 
 
-def _listed(names: Any) -> str:
-    return some_of([str(name) for name in names], NAMES_LISTED)
+class Listed(str):
+    """The first of some names; `whole` has all."""
+
+    whole: str
+
+
+def _listed(names: Any) -> Listed:
+    every = [str(name) for name in names]
+    text = Listed(some_of(every, NAMES_LISTED))
+    text.whole = ", ".join(every)
+    return text
 
 
 def _spectra(file: InputFile) -> Mapping[str, Any]:

@@ -29,8 +29,8 @@ from lunarsci.images.gridding import Cloud, HeightModes, cloud_of, grid_of, heig
 from lunarsci.images.localisation import Localised
 
 MODES = 8
-"""Ways in which a pair's heights may be off together: all that hold more than a thousandth of the variance of three
-pairs of a NavCam."""
+"""Ways in which a pair's heights may be off together. Measured: what others make of heights is 0.1 mm (rms) in rendered
+pairs of a NavCam, of 24 mm."""
 
 BIASED_PX = 0.02
 """Error that all disparities of a pair share. Measured: their medians were off by 0.00 to 0.02 px in five rendered

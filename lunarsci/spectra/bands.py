@@ -660,7 +660,10 @@ class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
             at, width = self.arrays.numbers[place, number, [NUMBER.narrow_nm, NUMBER.narrow_width_nm]].tolist()
             return f"no band: {narrow_text(at, width)}, no pyroxene's"
         text = sentence(code, BANDS[number], self.arrays.numbers[place, number, deepest], wavelength_nm)
-        return text if which == CODE.status else f"{self.wanted} not used: {text}"
+        if which == CODE.status:
+            return text
+        reason = text.removeprefix("no result: ").replace("no band: ", "it shows no band, ")
+        return f"{self.wanted} not used, since {reason}"
 
     def _remark(self, number: int, place: int, depends: bool) -> str:
         """What is said of a band that is there: that its centre depends on the method, and what else lies in it."""

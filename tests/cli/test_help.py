@@ -7,9 +7,10 @@ import shutil
 import subprocess
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
@@ -229,3 +230,20 @@ def test_python_runs_the_command(capfd: pytest.CaptureFixture[str]) -> None:
     assert main(["--version"]) == 0
     done = subprocess.run([sys.executable, "-m", "lunarsci", "--version"], capture_output=True, text=True)
     assert done.stdout == capfd.readouterr().out
+
+
+def test_a_value_of_another_command_and_a_part_of_a_value_are_understood(run: Callable[..., Any]) -> None:
+    [other] = run("spectra", "fit", "x.csv", "--continuum", "hull").err
+    assert "'log-quadratic'" in other and "'hull' is one of `lunarsci spectra bands --continuum`" in other
+    assert "Did you mean 'solid-rock'?" in run("spectra", "unmix", "x.csv", "--kind", "rock").err[0]
+
+
+def test_info_names_options_as_they_are_typed_and_lists_all_names(run: Callable[..., Any], tmp_path: Path) -> None:
+    names = [f"rock{k}" for k in range(9)]
+    rows = [",".join(["wavelength", *names]), *(f"{w},{','.join(['0.2'] * 9)}" for w in range(500, 2500, 10))]
+    file = tmp_path / "many.csv"
+    file.write_text("\n".join(rows))
+    short = run("info", file).out
+    assert "give --wavelength-unit nm" in short and "and 3 more: --verbose" in short
+    assert ", ".join(names) in run("info", file, "--verbose").out
+    assert "give --wavelength-unit nm" in run("info", file, "--json").out

@@ -1,5 +1,6 @@
 """Stations by what they share: adjustment beside points of known geometry, ties beside moved pictures."""
 
+import dataclasses
 import math
 import shutil
 from collections.abc import Callable
@@ -24,7 +25,8 @@ from lunarsci.images.camera import PARAMETERS, Camera, Pose, StereoRig, covarian
 from lunarsci.images.jobs.locate import _names, _rover, locate
 from lunarsci.images.jobs.merge import read_positions as read_shifts
 from lunarsci.images.jobs.requests import LocateRequest
-from lunarsci.images.localisation import _eight, _peak
+from lunarsci.images.localisation import Station, _eight, _peak, transfer
+from lunarsci.images.matching import Rectified, StereoMatches
 from lunarsci.images.pictures import png_bytes
 from lunarsci.images.render import landscape_on, render
 from lunarsci.images.rig_files import pose_text, read_pose, rig_text
@@ -231,6 +233,25 @@ def test_errors_of_templates_are_inflated_to_what_they_are(times: float) -> None
     assert found.inflation[0] ** 2 == pytest.approx(times**2, rel=0.034)
 
 
+def test_stations_may_have_rigs_of_their_own() -> None:
+    """Exact points by a rig and by one of three quarters of its focal length: the second place is found, and errors of
+    both rigs are in the covariance, apart."""
+    other = dataclasses.replace(RIG, name="o", left=RIG.left.scaled(0.75), right=RIG.right.scaled(0.75))
+    random, poses = np.random.default_rng(3), STEPPED[:2]
+    ground = in_order(random.uniform(3.8, 7, TIES), random.uniform(-0.8, 1.2, TIES), random.normal(0, 0.05, TIES))
+    sides = []
+    for rig, pose in ((other, poses[1]), (RIG, poses[0])):
+        left, right = rig.project(pose.to_camera(ground))
+        sides += [left, right[:, 0] - left[:, 0], np.full(TIES, 0.1)]
+    ties = TiePoints(*sides, np.zeros((TIES, 2, 2)), np.ones(TIES))
+    told = Pose(rotation=rotation_of([0.01, -0.01, 0.02]) @ poses[1].rotation, center_m=poses[1].center_m + 0.05)
+    loose = np.diag(np.array([0.01, 0.01, 0.02, 0.1, 0.1, 0.1]) ** 2)
+    found = adjust([poses[0], told], by_steps([EXACTLY, loose]), [RIG, other], [PairTies(1, 0, ties)])
+    np.testing.assert_allclose(found.poses[1].center_m, poses[1].center_m, atol=3e-3)
+    assert found.joint.shape == (12 + 48, 12 + 48) and found.rig_of == (0, 1)
+    assert np.diag(found.of_pair(1, 1))[6] == found.joint[36, 36] > 0
+
+
 def test_a_loop_that_closes_knows_its_end_better() -> None:
     open_pairs = [(0, 1), (1, 2), (2, 3)]
     ends = []
@@ -405,3 +426,32 @@ def test_what_is_no_station(tmp_path) -> None:
 def test_names_of_stations_differ() -> None:
     assert _names([Path("day1/A"), Path("day1/B")]) == ["A", "B"]
     assert _names([Path("day1/A"), Path("day2/A")]) == ["day1-A", "day2-A"]
+
+
+def test_a_disparity_without_an_error_says_nothing() -> None:
+    """As one that is not known: the poses are the same."""
+    _, told, prior, pair = drive(4)
+    found = []
+    for key in ("far_disparity", "far_sigma"):
+        values = getattr(pair.ties, key).copy()
+        values[:20] = np.nan
+        ties = pair.ties._replace(**{key: values})
+        found.append(adjust(told, by_steps([EXACTLY, prior]), [RIG] * 2, [pair._replace(ties=ties)]).poses[1])
+    np.testing.assert_allclose(found[1].center_m, found[0].center_m, atol=1e-12)
+
+
+def test_views_of_the_same_size_have_no_gaps() -> None:
+    """A mast turned by 0.3 degrees: the other view is full, and each place within a pixel and a half."""
+    shape, focal = (120, 160), 200.0
+    frame = Rectified(np.eye(3), focal, (79.5, 59.5), 0.2, np.zeros((2, *shape, 2), np.float32))
+    blank, random = np.zeros(shape), np.random.default_rng(2)
+    matches = StereoMatches(
+        rectified=frame, left=100 + random.normal(0, 5, shape), right=blank, disparity=blank + 8.0,
+        sigma_px=blank + 0.1, window_px=blank + 7.0, reason=blank.astype(np.uint8), first=blank + 8.0, row_offset_px=0.0,
+    )  # fmt: skip
+    station = Station(name="a", matches=matches, rig=RIG, pose=STEPPED[0], covariance=EXACTLY)
+    turned = Pose(rotation=rotation_of([0.0, 0.0, 0.005]) @ STEPPED[0].rotation, center_m=STEPPED[0].center_m)
+    seen = transfer(station, STEPPED[0], station, turned)
+    assert seen.seen[5:-5, 5:-5].all() and np.abs(seen.apart[5:-5, 5:-5]).max() < 1.5
+    # The light of a full view is that of the other one, not that of sums cut to whole numbers.
+    np.testing.assert_allclose(seen.light[5:-5, 5:-5].mean(), np.sqrt(matches.left).mean(), rtol=0.01)

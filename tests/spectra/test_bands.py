@@ -99,7 +99,7 @@ def test_a_spectrum_nowhere_below_the_lines_says_so_however_bright_it_is() -> No
         measured(factor * values, continuum_name="linear", smoothing=Smoothing(window_nm=0)).bands["2000"].note
         for factor in factors
     }
-    assert notes == {"linear not used: its continuum runs below the spectrum in the window"}
+    assert notes == {"linear not used, since its continuum runs below the spectrum in the window"}
 
 
 def test_the_conic_falls_back_where_it_falls_to_zero() -> None:

@@ -167,8 +167,8 @@ def normative(spectrum: Spectrum, kind: KindVerdict, laws: Mapping[str, SoilRegr
     values = {name: law.estimate(np.array([features[key] for key in law.features])) for name, law in laws.items()}
     doubt = "" if kind.kind == "weathered-soil" else "; if it is a soil, and no rock"
     text = f"regression on 11 lunar soils in a laboratory, for its level; no modes of minerals{doubt}"
-    if far := [name for name, value in values.items() if not value.within]:
-        text = f"out of domain: {', '.join(far)} lie beyond the soils learned from, so that errors are wide; {text}"
+    if far := [CALLED[name] for name, value in values.items() if not value.within]:
+        text = f"out of domain: its {' and '.join(far)} {'lie' if far[1:] else 'lies'} beyond the soils learned from, so that errors are wide; {text}"
     return Normative(values, not far, text)
 
 
@@ -184,6 +184,8 @@ def _unfit(kind: KindVerdict) -> str:
     )
 
 
+CALLED = {"plagioclase_wt": "plagioclase", "feo_wt": "FeO", "tio2_wt": "TiO2"}
+"""What sentences call the quantities."""
 TITLES = {"plagioclase_wt": "normative plagioclase [wt %]", "feo_wt": "FeO [wt %]", "tio2_wt": "TiO$_2$ [wt %]"}
 """Of the panels, by quantity."""
 COLOR = BLUE

@@ -448,7 +448,7 @@ def abundances(
         inside = bool(determined and trusted[row] and near[row] >= LIKELY and not weathered)
         status = _status(result, row, near[row], weathered, fractions)
         if mixed is not None and result.weight[row] < SOME:
-            status += "; mixtures of end members have no weight in it"
+            status += "; the networks alone gave the shares, as mixtures of end members do not count here"
         left = None if mixed is None else float(mixed.rms_ln[row])
         one = Abundance(name, method, fractions, inside, status, left, learned=float(1.0 - result.weight[row]),
                         prior=prior)  # fmt: skip
@@ -465,8 +465,9 @@ def _with_prior(one: Abundance, returned: float, moved: FloatArray, alone: bool)
     k = int(np.argmax(np.abs(moved)))
     none = "" if one.in_domain or "out of domain" in one.status else "out of domain: without the prior it would be; "
     status = none + one.status
-    moves = f"prior of returned rocks (like them with a probability of {returned:.2f}): {WEIGHED[k]} moves by "
-    moves += f"{100 * moved[k]:+.0f} %"
+    change = f"{abs(100 * moved[k]):.0f} percentage points {'higher' if moved[k] > 0 else 'lower'}"
+    moves = f"{WEIGHED[k]} is {change} by the prior that it is a rock like those brought back from the Moon "
+    moves += f"(which it is with a probability of {returned:.2f})"
     moves += "; the spectrum says nearly nothing, so that this is their mean" if alone else ""
     return replace(one, prior=PRIOR, returned=returned, status=f"{status}; {moves}")
 

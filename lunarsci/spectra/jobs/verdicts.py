@@ -220,7 +220,7 @@ def shares_verdict(record: Mapping[str, Any]) -> str:
     values = ", ".join(f"{name} {_percent(shares[name])}" for name in WEIGHED if name in shares)
     if not any(shares[name]["fraction"] is not None for name in WEIGHED if name in shares):
         return f"no share to be quoted: {shares['status']}"
-    likely = [name for name in WEIGHED if name in shares and (shares[name]["present"] or 0.0) > OPEN[1]]
+    likely = _likely(shares)
     parts = [f"{'' if shares['in_domain'] else 'uncertain; quote the 95 % intervals alone: '}{values}"]
     parts += [f"likely there: {', '.join(likely)}"] if likely else []
     ratios = [f"{name.replace('_', ' ')} {_percent(item)}" for name, item in shares["ratios"].items()]
@@ -238,15 +238,16 @@ def shares_counted(records: Sequence[Mapping[str, Any]]) -> list[str]:
     total = len(records)
     soils = sum(record["kind"]["name"] == "weathered-soil" for record in records)
     inside = sum(record["abundance"]["in_domain"] for record in records)
-    there = Counter(
-        name
-        for record in records
-        for name in WEIGHED
-        if name in record["abundance"] and (record["abundance"][name]["present"] or 0.0) > OPEN[1]
-    )
+    there = Counter(name for record in records for name in _likely(record["abundance"]))
     parts = [f"shares likely within 15 %: {inside} of {total} spectra; of the others quote the 95 % intervals"]
     parts += [f"likely there: {', '.join(f'{name} in {n}' for name, n in there.most_common())}"] if there else []
     return parts + ([f"weathered soils, not unmixed: {soils} of {total} spectra"] if soils else [])
+
+
+def _likely(shares: Mapping[str, Any]) -> list[str]:
+    """Minerals of which there is probably more than 5 %, and whose 95 % interval does not begin at 0."""
+    named = [name for name in WEIGHED if name in shares]
+    return [name for name in named if (shares[name]["present"] or 0.0) > OPEN[1] and shares[name]["low95"] > 0.0]
 
 
 def _percent(share: Mapping[str, Any]) -> str:

@@ -24,7 +24,7 @@ from lunarsci.twin.jobs.drive_inputs import OF_A_BELIEF, DriveInputs, Soils, par
 from lunarsci.twin.jobs.drive_inputs import SOURCES as OF_DRIVES
 from lunarsci.twin.jobs.requests import GroundRequest, PlanRequest, _numbers
 from lunarsci.twin.jobs.terrain import SurveyedSite, TerrainSurvey, light_of, read_site
-from lunarsci.twin.judgement.choice import Conditions, DriveChoice, choose
+from lunarsci.twin.judgement.choice import Conditions, DriveChoice, choose, making_up_for_slip
 from lunarsci.twin.plans.made_for_check import limits_of_rover
 from lunarsci.twin.plans.path import poses_along
 from lunarsci.twin.plans.plan import Limit, Plan, plan_text, read_limits, read_plan
@@ -373,8 +373,9 @@ def chosen_drive(terrain: str | None, asked: PlanRequest, risk: AcceptedRisk, pr
     check_soils(asked, given)
     (x0, y0, heading), (x, y, *_) = places_of(asked)
     search = RouteSearch.of(surface, site.rover, (x0, y0, heading), (x, y), final_heading_deg(asked))
-    plans = candidates_of(asked, site, search, given, risk, progress, ground)
+    plans: Sequence[Plan] = candidates_of(asked, site, search, given, risk, progress, ground)
     soils, conditions, members = drive_conditions(asked, site, given, plans, ground)
+    plans = making_up_for_slip(plans, conditions, members, progress)
     choice = choose(plans, conditions, risk=risk, prefer=asked.prefer, members=members, progress=progress)
     path = None
     if choice.feasible:

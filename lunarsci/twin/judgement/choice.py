@@ -19,8 +19,9 @@ from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.judgement.energy import expected_energy_j
 from lunarsci.twin.judgement.keeping import broken, extremes, limited, limits_judged
 from lunarsci.twin.judgement.quantities import least_of_95
+from lunarsci.twin.lanes import GROUP
 from lunarsci.twin.plans.path import make_schedule
-from lunarsci.twin.plans.plan import Limit, Plan
+from lunarsci.twin.plans.plan import Leg, Limit, Plan
 from lunarsci.twin.plans.risk import CONFIDENCE, AcceptedRisk, Chance
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.discrepancy import with_discrepancy
@@ -38,6 +39,8 @@ LEAST_LEFT = 8
 """So many candidates are driven on all soils, where there are so many."""
 ALIKE = 0.01
 """Drives whose energy, length or time differ by this share are alike; assumed."""
+MOST_SLIP = 0.8
+"""That commands make up for, uphill or down; assumed."""
 CHECKED = 4
 """So many of the best are driven again on fresh soils at a time."""
 
@@ -49,23 +52,23 @@ class _SomeGrounds:
     Attributes
     ----------
     whole : the grounds of all members.
-    first : number in these of the first member here.
+    numbers : of the members here in these. (members,)
     parameters : as in `Grounds`, of the members here. (members,)
     """
 
     whole: Grounds
-    first: int
+    numbers: Sequence[int]
     parameters: Mapping[str, FloatArray]
 
     def __len__(self) -> int:
         return len(next(iter(self.parameters.values())))
 
     def terrain(self, member: int) -> Terrain:
-        return self.whole.terrain(self.first + member)
+        return self.whole.terrain(self.numbers[member])
 
     def only(self, member: int) -> "_SomeGrounds":
         some = slice(member, member + 1)
-        return _SomeGrounds(self.whole, self.first + member, {n: v[some] for n, v in self.parameters.items()})
+        return _SomeGrounds(self.whole, self.numbers[some], {n: v[some] for n, v in self.parameters.items()})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -102,6 +105,13 @@ class Conditions:
         """How many soils there are."""
         return len(next(iter(self.samples.values())))
 
+    def some(self, numbers: list[int]) -> "Conditions":
+        """Those of some members."""
+        samples = {name: values[numbers] for name, values in self.samples.items()}
+        grounds = None if self.grounds is None else _SomeGrounds(self.grounds, numbers, samples)
+        draws = None if self.draws is None else self.draws[numbers]
+        return replace(self, samples=samples, grounds=grounds, draws=draws)
+
     def drive(self, plan: Plan, members: range) -> Prediction:
         """Some members along a plan. Each such part draws its own errors of fixes and discrepancy."""
         some = slice(members.start, members.stop)
@@ -109,7 +119,7 @@ class Conditions:
         seed = int(np.random.SeedSequence([self.seed, members.start]).generate_state(1)[0])
         soils: dict[str, Any] = {"samples": samples}
         if self.grounds is not None:
-            soils = {"grounds": _SomeGrounds(self.grounds, members.start, samples)}
+            soils = {"grounds": _SomeGrounds(self.grounds, members, samples)}
         driven = predict(
             self.rover,
             self.terrain,
@@ -162,7 +172,7 @@ def drive_candidates(
                 rover=conditions.rover,
                 terrain=conditions.terrain,
                 plan=plans[number],
-                grounds=None if grounds is None else _SomeGrounds(grounds, members.start, samples),
+                grounds=None if grounds is None else _SomeGrounds(grounds, members, samples),
                 before=conditions.before,
                 power=conditions.power,
                 **part,
@@ -184,7 +194,8 @@ def joined(parts: Sequence[Prediction]) -> Prediction:
     draws, steered = (None if getattr(first, name) is None else whole(name) for name in ("draws", "steered"))
     grounds = first.grounds
     if isinstance(grounds, _SomeGrounds):
-        grounds = _SomeGrounds(grounds.whole, grounds.first, soils)
+        numbers = range(grounds.numbers[0], grounds.numbers[0] + len(next(iter(soils.values()))))
+        grounds = _SomeGrounds(grounds.whole, numbers, soils)
     return dataclasses.replace(
         first,
         **arrays,
@@ -399,6 +410,7 @@ class DriveCandidate:
             "number": self.number,
             "name": self.plan.name,
             "length_m": self.length_m,
+            "commanded_m": self.plan.commanded_m,
             "duration_s": self.duration_s,
             "energy_j": self.energy_j,
             "localisation_updates": 0 if self.plan.fixes is None else len(self.plan.legs) - 1,
@@ -495,6 +507,60 @@ def choose(
         progress(race.total, race.total)
     ordered = ranked(_with_front(checked), risk, prefer)
     return DriveChoice(candidates=tuple(ordered), risk=risk, prefer=prefer, fresh=conditions.members > count)
+
+
+def making_up_for_slip(
+    plans: Sequence[Plan], conditions: Conditions, members: int, progress: Progress | None = None
+) -> list[Plan]:
+    """The plans with commands so long that the median drive gets as far on each leg as the plan does.
+
+    The first plan is driven on the first `members` soils, and all on those where it got as far as in the middle: a
+    leg's slip is what the drives there fall short of what rims rolled. How they slip on the longer way is left out.
+    """
+    first = drive_candidates(conditions, plans[:1], range(members))[0]
+    slips = leg_slips(first) @ [leg.length_m for leg in plans[0].legs]
+    order = np.flatnonzero(first.finished)[np.argsort(slips, kind="stable")]
+    if not order.size:
+        return list(plans)
+    middle = order[max(0, (order.size - GROUP) // 2) :][:GROUP].tolist()
+    driven = drive_candidates(conditions.some(middle), plans, range(len(middle)), progress)
+    return [
+        replace(plan, legs=tuple(map(_made_up, plan.legs, _medians(prediction))))
+        for plan, prediction in zip(plans, driven, strict=True)
+    ]
+
+
+def _made_up(leg: Leg, slip: float) -> Leg:
+    return replace(leg, slip_ratio=float(np.clip(slip, -MOST_SLIP, MOST_SLIP)))
+
+
+def _medians(prediction: Prediction) -> FloatArray:
+    slips = leg_slips(prediction)
+    return np.asarray(np.median(slips, axis=0) if len(slips) else np.zeros(slips.shape[1]))
+
+
+def leg_slips(prediction: Prediction) -> FloatArray:
+    """Of the drives that ended, the share of each leg's commanded length that is not gone in its direction.
+
+    0 of turns and stops. (drives, legs)
+    """
+    plan, ended = prediction.plan, prediction.finished
+    slips = np.zeros((int(ended.sum()), len(plan.legs)))
+    yaw, step = np.radians(prediction.paths[ended, :, 5]), np.diff(prediction.places_m[ended], axis=1)
+    travel = 0.5 * (yaw[:, 1:] + yaw[:, :-1])
+    begin = 0.0
+    for number, leg in enumerate(plan.legs):
+        if leg.length_m:
+            angle = travel + math.radians(leg.crab_deg)
+            gone = np.cumsum(step[..., 0] * np.cos(angle) + step[..., 1] * np.sin(angle), axis=1)
+            gone = np.concatenate([np.zeros((len(gone), 1)), gone], axis=1)
+            ends = [[np.interp(at, prediction.distance_m, one) for at in (begin, begin + leg.length_m)] for one in gone]
+            far = leg.commanded_m
+            if prediction.steered is not None and number:
+                far = prediction.steered[ended, number, 0] / (1.0 - leg.slip_ratio)
+            slips[:, number] = 1.0 - np.reshape(ends, (-1, 2)) @ (-1.0, 1.0) / far
+        begin += leg.length_m
+    return slips
 
 
 @dataclass(slots=True)

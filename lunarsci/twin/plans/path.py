@@ -234,6 +234,19 @@ class Run:
         return math.fsum(leg.length_m for leg in self.legs)
 
     @property
+    def commanded_m(self) -> float:
+        """How far its rims are commanded to roll. [m]"""
+        return math.fsum(leg.commanded_m for leg in self.legs)
+
+    def way_at(self, share: FloatArray) -> FloatArray:
+        """Way along its path at shares of what its rims are commanded to roll. [m]"""
+        if all(leg.slip_ratio == 0.0 for leg in self.legs):
+            return share * self.length_m
+        rolled = np.cumsum([0.0, *(leg.commanded_m for leg in self.legs)])
+        way = np.cumsum([0.0, *(leg.length_m for leg in self.legs)])
+        return np.asarray(np.interp(share * rolled[-1], rolled, way))
+
+    @property
     def end_s(self) -> float:
         """When it ends. [s]"""
         return self.begin_s + self.steer_s + self.cruise_s + RAMP_S * (self.starts + self.stops)
@@ -291,8 +304,8 @@ class Schedule:
         return self.runs[-1].end_s
 
     def distance_at(self, time_s: npt.ArrayLike) -> FloatArray:
-        """Commanded distance; it stands still while the rover turns on the spot or stops. [m]"""
-        return np.asarray(sum(run.length_m * run.share_at(time_s) for run in self.runs))
+        """Way along the plan; it stands still while the rover turns on the spot or stops. [m]"""
+        return np.asarray(sum(run.way_at(run.share_at(time_s)) for run in self.runs))
 
     def pace_at(self, time_s: npt.ArrayLike) -> FloatArray:
         """Share of the full speed: 1 under way, 0 at a standstill."""
@@ -403,7 +416,7 @@ def commanded_ratios(rover: Rover, schedule: Schedule, time_s: FloatArray) -> Fl
     """Rates of the wheels over those without slip at some times: other than 1 in wheel tests. (n, wheels) [-]"""
     result = np.ones((len(time_s), len(rover.wheels)))
     for run in schedule.runs:
-        ratios = rate_ratios(rover, run.legs, run.share_at(time_s) * run.length_m, schedule.plan.blend_m)
+        ratios = rate_ratios(rover, run.legs, run.way_at(run.share_at(time_s)), schedule.plan.blend_m)
         if ratios is not None:
             on = (time_s >= run.begin_s) & (time_s <= run.end_s)
             result[on] = ratios[on]
@@ -446,12 +459,12 @@ def _motion(
         turns = np.broadcast_to(abs(turn) * np.sign(angle), (len(angle), len(share)))
         return wheel_commands(rover, ahead, left, turns, np.abs(angle / turn) * rates)
     if legs is None:
-        curvature = curvature_at(run.legs, share * run.length_m, plan.blend_m)[None, :]
-        commands = wheel_commands(rover, ahead, left, curvature, run.length_m * rates[None, :])
+        curvature = curvature_at(run.legs, run.way_at(share), plan.blend_m)[None, :]
+        commands = wheel_commands(rover, ahead, left, curvature, run.commanded_m * rates[None, :])
     else:
         curvature = np.broadcast_to(legs[:, 1:2], (len(legs), len(share)))
-        commands = wheel_commands(rover, ahead, left, curvature, legs[:, :1] * rates)
-    ratios = rate_ratios(rover, run.legs, share * run.length_m, plan.blend_m)
+        commands = wheel_commands(rover, ahead, left, curvature, legs[:, :1] / (1.0 - leg.slip_ratio) * rates)
+    ratios = rate_ratios(rover, run.legs, run.way_at(share), plan.blend_m)
     return commands if ratios is None else Commands(commands.steering_rad, ratios * commands.speed_m_s)
 
 
@@ -473,7 +486,7 @@ def _nominal_s(run: Run, plan: Plan, rover: Rover) -> float:
     leg = run.legs[0]
     if leg.stop_s:
         return leg.stop_s
-    return (abs(math.radians(leg.turn_deg)) * reach_m(rover) + run.length_m) / plan.speed_m_s
+    return (abs(math.radians(leg.turn_deg)) * reach_m(rover) + run.commanded_m) / plan.speed_m_s
 
 
 def _without_halts(plan: Plan) -> list[tuple[Leg, ...]]:
@@ -493,7 +506,7 @@ def _along(run: Run, start: FloatArray, share: FloatArray) -> FloatArray:
     """Pose after a share of a run."""
     if run.length_m == 0:
         return leg_end(start, run.legs[0], share if run.moves else 0.0 * share)
-    return along_legs(start, run.legs, share * run.length_m)
+    return along_legs(start, run.legs, run.way_at(share))
 
 
 def fix_errors(schedule: Schedule, members: int, seed: int) -> FloatArray:

@@ -157,8 +157,9 @@ class Leg:
 
     Attributes
     ----------
-    length_m : length of an arc as it is commanded, rim speed times time, which the ground has without slip, > 0; 0 for
-        a turn or a stop. [m]
+    length_m : way of an arc over the ground, > 0; 0 for a turn or a stop. Rims are commanded to roll length_m /
+        (1 - slip_ratio). [m]
+    slip_ratio : slip that the commands make up for, between -1 and 1; 0 without any. [-]
     curvature_per_m : constant curvature of the arc, positive to the left; 0 is straight ahead. [1/m]
     crab_deg : direction of the arc's travel seen from the heading, positive to the left, -180 to 180: 90 is sideways,
         180 backwards. [deg]
@@ -175,14 +176,20 @@ class Leg:
     turn_deg: float = 0.0
     stop_s: float = 0.0
     wheel_test: WheelTest | None = None
+    slip_ratio: float = 0.0
 
     def __post_init__(self) -> None:
-        names = {LENGTHS_M: "length_m", "[-180, 180]": "crab_deg", "[-360, 360]": "turn_deg"}
+        names = {LENGTHS_M: "length_m", "[-180, 180]": "crab_deg", "[-360, 360]": "turn_deg", "(-1, 1)": "slip_ratio"}
         check_ranges(self, names | {FINITE: "curvature_per_m"} | ({STOPS_S: "stop_s"} if self.stop_s else {}))
         if sum(value != 0 for value in (self.length_m, self.turn_deg, self.stop_s)) != 1:
             raise ParameterError("a leg needs exactly one of length_m, turn_deg and stop_s, and not 0")
-        if not self.length_m and (self.curvature_per_m or self.crab_deg or self.wheel_test is not None):
-            raise ParameterError("curvature_per_m, crab_deg and wheel_test belong to a leg with length_m")
+        if not self.length_m and any((self.curvature_per_m, self.crab_deg, self.wheel_test, self.slip_ratio)):
+            raise ParameterError("curvature_per_m, crab_deg, wheel_test and slip_ratio belong to a leg with length_m")
+
+    @property
+    def commanded_m(self) -> float:
+        """How far its rims are commanded to roll. [m]"""
+        return self.length_m / (1.0 - self.slip_ratio)
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,6 +292,11 @@ class Plan:
     def length_m(self) -> float:
         """Length of the path. [m]"""
         return math.fsum(leg.length_m for leg in self.legs)
+
+    @property
+    def commanded_m(self) -> float:
+        """How far the rims are commanded to roll along it. [m]"""
+        return math.fsum(leg.commanded_m for leg in self.legs)
 
 
 def check_plan(plan: Plan, rover: Rover) -> None:

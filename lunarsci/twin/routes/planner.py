@@ -221,7 +221,8 @@ def search_margin_m(footprint: RoverFootprint, distance_m: float) -> float:
 
 def _leg_record(leg: Leg) -> dict[str, Any]:
     """For a result; how a leg is driven where that is not an arc ahead."""
-    other: dict[str, Any] = {name: getattr(leg, name) for name in ("crab_deg", "turn_deg") if getattr(leg, name)}
+    names = ("crab_deg", "turn_deg", "slip_ratio")
+    other: dict[str, Any] = {name: getattr(leg, name) for name in names if getattr(leg, name)}
     if leg.wheel_test is not None:
         other["wheel_test"] = asdict(leg.wheel_test)
     return {"length_m": leg.length_m, "curvature_per_m": leg.curvature_per_m, **other}

@@ -97,7 +97,7 @@ class Prediction:
     rover, terrain, plan, seed : what it was computed from; `time_step_s` as used.
     parameters : swept soil parameters, name to value for each member. (members,)
     time_s : time of the samples. (samples,) [s]
-    distance_m : their commanded distance, 0 to the plan's length; it stands still in spot turns and stops. (samples,)
+    distance_m : their way along the plan, 0 to its length; it stands still in spot turns and stops. (samples,)
     planned : planned x, y, heading. (samples, 3) [m, m, rad]
     paths : rover's origin, columns `PATH_COLUMNS`; pitch is positive nose down. (members, samples, 6)
     states : wheels in the order of `rover.wheels`, columns `STATE_COLUMNS`; at a halt slip ratio and side slip are 0,

@@ -541,11 +541,12 @@ def _remedy(halt: _Halt, schedule: Schedule) -> str:
         return f"put a [[leg]] with stop_s = {halt.longer_s:.4g} after leg {last} of the plan"
     share, stop_s = float(run.share_at(halt.planned_s)), max(halt.longer_s - STOP_COSTS_S, 1.0)
     ends = np.cumsum([leg.length_m for leg in run.legs])
-    number = int(np.searchsorted(ends[:-1], share * run.length_m))
+    done_m = float(run.way_at(np.array(share)))
+    number = int(np.searchsorted(ends[:-1], done_m))
     leg = run.legs[number]
     way = f"{share * leg.turn_deg:.3g} deg"
     if leg.length_m:
-        way = f"{share * run.length_m - (ends[number] - leg.length_m):.3g} m"
+        way = f"{done_m - (ends[number] - leg.length_m):.3g} m"
     return f"split leg {before + number + 1} of the plan after {way}, with a [[leg]] of stop_s = {stop_s:.4g} between"
 
 

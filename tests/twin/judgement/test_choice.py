@@ -12,9 +12,18 @@ from lunarsci.regolith.belief import first_belief
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.hazards import ExclusionZone
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
-from lunarsci.twin.judgement.choice import Conditions, DriveChoice, choose, drive_candidates, joined, ranked, verdicts
+from lunarsci.twin.judgement.choice import (
+    Conditions,
+    DriveChoice,
+    choose,
+    drive_candidates,
+    joined,
+    making_up_for_slip,
+    ranked,
+    verdicts,
+)
 from lunarsci.twin.judgement.quantities import along
-from lunarsci.twin.plans.plan import AT_LEAST, Leg, Limit, Plan
+from lunarsci.twin.plans.plan import AT_LEAST, Fixes, Leg, Limit, Plan
 from lunarsci.twin.plans.risk import AcceptedRisk, Chance
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import Prediction
@@ -68,6 +77,21 @@ def test_the_chance_is_a_count_member_by_member(driven: Prediction) -> None:
     found = verdicts(driven)
     assert 0 < failed < driven.members
     assert found.chance == Chance(failed, driven.members) and int((~found.keeps).sum()) == failed
+
+
+def test_commands_that_make_up_for_slip_take_the_median_drive_along_the_whole_way(
+    yutu2: Rover, conditions: Conditions
+) -> None:
+    """Uphill and round a bend, with fixes and without: the way that drives leave on the ground beside the plan's."""
+    sure = dataclasses.replace(conditions, discrepancy=None)
+    up = dataclasses.replace(plan(Leg(1.0), Leg(2.0, 0.1)), heading_deg=60.0)
+    for before in (up, dataclasses.replace(up, fixes=Fixes(0.01, 0.1))):
+        after = making_up_for_slip([before], sure, 48)[0]
+        old, new = drive_candidates(sure, [before, after], range(48))
+        assert np.allclose(old.planned[-1], new.planned[-1]) and after.length_m == before.length_m
+        driven_m = [np.hypot(*np.diff(one.places_m[one.finished], axis=1).T).sum(axis=0) for one in (old, new)]
+        gone_old, gone_new = (float(np.median(way)) / before.length_m for way in driven_m)
+        assert gone_old < 0.85 and gone_new == pytest.approx(1.0, abs=0.05)
 
 
 def test_the_bounds_are_those_of_the_beta_law_and_cover_as_often_as_they_say() -> None:

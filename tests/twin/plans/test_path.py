@@ -75,6 +75,20 @@ def test_arcs_of_one_direction_are_driven_without_a_halt(yutu2: Rover) -> None:
     assert schedule.distance_at([0.0, 30.0, 60.0]) == pytest.approx([0.0, 1.5, 3.0])
 
 
+def test_a_leg_that_makes_up_for_slip_takes_longer_to_the_same_end(yutu2: Rover) -> None:
+    plain = plan_of(Leg(1.0, 0.1), Leg(2.0, -0.1))
+    made_up = plan_of(Leg(1.0, 0.1, slip_ratio=0.5), Leg(2.0, -0.1))
+    schedule = make_schedule(made_up, yutu2)
+    assert schedule.duration_s == pytest.approx(80.0) and made_up.commanded_m == pytest.approx(4.0)
+    assert schedule.distance_at([20.0, 40.0, 60.0]) == pytest.approx([0.5, 1.0, 2.0])
+    assert schedule.pose_at(80.0) == pytest.approx(make_schedule(plain, yutu2).pose_at(60.0))
+    rolled = all_commands(yutu2, schedule, np.linspace(0.0, 80.0, 801)).speed_m_s.mean()
+    assert rolled == pytest.approx(0.05, rel=0.01)
+    assert parse_plan(plan_text(made_up), "made_up").legs == made_up.legs
+    with pytest.raises(ParameterError, match="slip_ratio"):
+        Leg(turn_deg=90.0, slip_ratio=0.2)
+
+
 MIXED = (Leg(1.0, 0.1), Leg(turn_deg=90.0), Leg(0.5), Leg(stop_s=20.0), Leg(0.5, 0.0, 180.0))
 
 
