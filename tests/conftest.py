@@ -15,6 +15,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+from hypothesis import settings
 
 CHECKOUT = Path(__file__).with_name("checkout")
 """What makes processes import the lunarsci of this checkout, whichever is installed."""
@@ -31,6 +32,9 @@ os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(tempfile.gettempdir()) / "luna
 
 for _library in ("OPENBLAS", "OMP", "MKL"):  # several workers share the cores already
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
+
+settings.register_profile("lunarsci", deadline=None)  # a busy machine is no fault
+settings.load_profile("lunarsci")
 
 os.environ.pop("COLUMNS", None)  # as a pipe has none; pytest-xdist gives one to its workers
 
