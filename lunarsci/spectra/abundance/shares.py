@@ -209,6 +209,15 @@ class CalibratedShares:
         """Probability of less than each of `FINE`, (n, 4, 201)."""
         return np.asarray(self.probabilities @ _below_each())
 
+    @cached_property
+    def median(self) -> FloatArray:
+        """Medians of the shares, (n, 4)."""
+        last = np.argmax(self.below >= 0.5, axis=-1)
+        first = np.maximum(last - 1, 0)
+        low, high = (np.take_along_axis(self.below, k[..., None], axis=-1)[..., 0] for k in (first, last))
+        part = np.divide(0.5 - low, high - low, out=np.zeros_like(low), where=high > low)
+        return np.asarray((first + np.clip(part, 0.0, 1.0)) / (FINE.size - 1))
+
     def near(self) -> FloatArray:
         """Least probability, over the minerals, of a share within `GOOD` of its mean, (n,)."""
         below, mean = self.below, self.mean
@@ -437,8 +446,8 @@ def abundances(
     results = []
     for row, name in enumerate(names):
         determined = result.doubt[row] < NOTHING
-        value = mean[row] if determined else np.full(len(WEIGHED), np.nan)
-        numbers = np.column_stack([value, ends[row], present[row]]).tolist()
+        value, middle = (one[row] if determined else np.full(len(WEIGHED), np.nan) for one in (mean, result.median))
+        numbers = np.column_stack([value, ends[row], present[row], middle]).tolist()
         fractions = tuple(
             MineralFraction(mineral, *ends_of)
             for k, (mineral, ends_of) in enumerate(zip(WEIGHED, numbers, strict=True))
@@ -466,8 +475,8 @@ def _with_prior(one: Abundance, returned: float, moved: FloatArray, alone: bool)
     none = "" if one.in_domain or "out of domain" in one.status else "out of domain: without the prior it would be; "
     status = none + one.status
     change = f"{abs(100 * moved[k]):.0f} percentage points {'higher' if moved[k] > 0 else 'lower'}"
-    moves = f"{WEIGHED[k]} is {change} by the prior that it is a rock like those brought back from the Moon "
-    moves += f"(which it is with a probability of {returned:.2f})"
+    moves = f"{WEIGHED[k]} is {change} by the prior of returned rocks (it is like them with a "
+    moves += f"probability of {returned:.2f})"
     moves += "; the spectrum says nearly nothing, so that this is their mean" if alone else ""
     return replace(one, prior=PRIOR, returned=returned, status=f"{status}; {moves}")
 
@@ -527,6 +536,6 @@ def _ratios(drawn: FloatArray, there: BoolArray) -> tuple[MineralFraction, ...]:
         if not there[places[1]].all():
             continue
         value = drawn[:, places[0]].sum(axis=1) / np.maximum(drawn[:, places[1]].sum(axis=1), 1e-6)
-        ends = np.quantile(value, [0.16, 0.84, 0.025, 0.975])
-        ratios.append(MineralFraction(name, float(value.mean()), *map(float, ends)))
+        *ends, middle = np.quantile(value, [0.16, 0.84, 0.025, 0.975, 0.5]).tolist()
+        ratios.append(MineralFraction(name, float(value.mean()), *ends, median=middle))
     return tuple(ratios)

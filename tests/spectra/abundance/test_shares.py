@@ -127,6 +127,8 @@ def test_pure_powders_are_in_domain_and_shares_hold_together() -> None:
             assert sum(item.fraction for item in one.fractions) == pytest.approx(1.0)
             for item in one.fractions:
                 assert 0 <= item.low95 <= item.low <= item.fraction <= item.high <= item.high95 <= 1
+                assert item.low <= item.median <= item.high
+                assert item.low < item.median < item.high or item.median < 0.01 or item.median > 0.99
 
 
 def test_many_at_once_are_found_as_each_alone() -> None:
