@@ -243,7 +243,7 @@ def _abundance_table(abundances: Sequence[Abundance]) -> TextTable:
         [
             modes.method,
             share.mineral,
-            UNKNOWN if share.fraction != share.fraction else plus_minus(100 * share.fraction, digits=0),
+            UNKNOWN if share.quoted != share.quoted else plus_minus(100 * share.quoted, digits=0),
             f"{100 * share.low:.0f} to {100 * share.high:.0f}",
             f"{100 * share.low95:.0f} to {100 * share.high95:.0f}",
         ]

@@ -5,7 +5,7 @@ it was made for. Answers are `Estimates` of many spectra, or a `CompositionEstim
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from typing import Any, TypeAlias
@@ -194,6 +194,21 @@ def _no_pyroxene(bc1000_nm: FloatArray, bc2000_nm: FloatArray) -> Texts:
     far = np.abs(off) > PYROXENE_TOLERANCE_NM
     texts[far] = [_where(one) for one in off[far]]
     return texts
+
+
+def one_pyroxene(centres_nm: Sequence[float], errors_nm: Sequence[float]) -> bool:
+    """Whether centres at 1 and 2 um, with standard errors, may be those of one pyroxene alone, of any iron and calcium.
+
+    The 1 um centre must lie by the trend, at a 2 um centre within its error of that measured; both as near as pyroxenes
+    do or as their errors let them. [nm]
+    """
+    (one, two), (error, second_error) = centres_nm, errors_nm
+    seconds = two + second_error * np.array([-1.0, 0.0, 1.0])
+    ends = [anchor.bc2000_nm for anchor in anchors()]
+    beyond = two - min(max(two, min(ends)), max(ends))
+    off = float(np.abs(_off_trend(np.full(3, one), seconds)).min())
+    far = math.hypot(OPX_TOLERANCE_NM, second_error)
+    return off <= math.hypot(PYROXENE_TOLERANCE_NM, error) and abs(beyond) <= far
 
 
 def _no_orthopyroxene(bc1000_nm: FloatArray, bc2000_nm: FloatArray) -> Texts:

@@ -37,7 +37,7 @@ from lunarsci.spectra.abundance.mixing import IRON_TABLE
 from lunarsci.spectra.abundance.normative import TABLE as SOIL
 from lunarsci.spectra.abundance.normative import Normative, normative, normative_pages
 from lunarsci.spectra.abundance.result import Abundance, MineralFraction, refused, share_pages
-from lunarsci.spectra.abundance.shares import PRIOR, SOME, Mixed, abundances
+from lunarsci.spectra.abundance.shares import PRIOR, SOME, Mixed, abundances, answer, how_dark, solid_rock
 from lunarsci.spectra.abundance.shares import ROCK_MODES as ROCKS
 from lunarsci.spectra.abundance.shares import TABLE as CALIBRATION
 from lunarsci.spectra.bands import measure_batch
@@ -246,7 +246,11 @@ def _shares(
             row *= [float(mineral_shares.get(mineral, 0.0) > 0) for mineral in WEIGHED]
     foretold = foretell_each(spectra, allowed)
     mixed = mixed_estimate(spectra, foretold, allowed, modes, end_members, request, progress) if request.mixes else None
-    result = abundances([one.id for one in spectra], "unmix", foretold, allowed, kinds, mixed, request.prior)
+    free = None
+    if request.assemblage and end_members is None:
+        every = np.ones_like(allowed)
+        free = answer(foretell_each(spectra, every), every, how_dark(kinds), solid_rock(kinds))
+    result = abundances([one.id for one in spectra], "unmix", foretold, allowed, kinds, mixed, request.prior, free)
     return [_as_stated(one, modes.shares[one.id]) if one.id in modes.shares else one for one in result]
 
 

@@ -15,7 +15,7 @@ from lunarsci.result import from_prior
 from lunarsci.spectra.abundance.shares import OPEN
 from lunarsci.spectra.band_status import NARROW_TEXT, centre_text
 from lunarsci.spectra.bands import measure_batch
-from lunarsci.spectra.chemistry.plane import OLIVINE_NM, OPX_MOST_NM
+from lunarsci.spectra.chemistry.plane import OLIVINE_NM, OPX_MOST_NM, one_pyroxene
 from lunarsci.spectra.mgm import PERCENT_OF, with_trend
 from lunarsci.spectra.mgm.assemblages import SURE, chances
 from lunarsci.spectra.mgm.result import UNLIKE_RMS
@@ -91,8 +91,6 @@ def bands_verdict(record: Mapping[str, Any]) -> str:
 def bands_meaning(record: Mapping[str, Any]) -> str:
     """What the centres of `spectra bands` say."""
     one, two = record["bc1000_nm"] is not None, record["bc2000_nm"] is not None
-    chemistry = [item for item in (record["chemistry"] or {}).values() if item]
-    alone = any("pyroxene without olivine" in item["domain"] and item["in_range"] for item in chemistry)
     if cause := other_cause(record):
         return f"pyroxene is open: {cause}"
     if not (one or two):
@@ -105,12 +103,18 @@ def bands_meaning(record: Mapping[str, Any]) -> str:
         )
     if two and not one:
         return "a 2 µm band; whether there is one at 1 µm could not be measured, so pyroxene and spinel are both open"
-    if alone:
+    if one_pyroxene(*zip(*(_centre_and_error(record, key) for key in ("1000", "2000")), strict=True)):
         return (
             "pyroxene; its centres are those of pyroxenes without olivine, but olivine, even much, is not ruled out; "
             "quote only regressions whose condition you know to hold"
         )
     return "pyroxene; the centres are not those of one pyroxene alone: olivine or several pyroxenes; `spectra fit` next"
+
+
+def _centre_and_error(record: Mapping[str, Any], key: str) -> tuple[float, float]:
+    """The centre of a band with what noise, methods and the calibration leave of it open. [nm]"""
+    errors = [record[f"bc{key}_{name}_nm"] or 0.0 for name in ("sigma", "method", "calibration")]
+    return float(record[f"bc{key}_nm"]), math.hypot(*errors)
 
 
 def fit_verdict(record: Mapping[str, Any]) -> str:
@@ -252,5 +256,5 @@ def _likely(shares: Mapping[str, Any]) -> list[str]:
 
 def _percent(share: Mapping[str, Any]) -> str:
     determined = share["fraction"] is not None and math.isfinite(share["fraction"])
-    value = f"{100 * share['fraction']:.0f} %" if determined else "not determined"
+    value = f"{100 * share['median']:.0f} %" if determined else "not determined"
     return f"{value} (95 %: {100 * share['low95']:.0f} to {100 * share['high95']:.0f})"

@@ -127,6 +127,8 @@ def test_pure_powders_are_in_domain_and_shares_hold_together() -> None:
             assert sum(item.fraction for item in one.fractions) == pytest.approx(1.0)
             for item in one.fractions:
                 assert 0 <= item.low95 <= item.low <= item.fraction <= item.high <= item.high95 <= 1
+                assert item.low <= item.median <= item.high
+                assert item.low < item.median < item.high or item.median < 0.01 or item.median > 0.99
 
 
 def test_many_at_once_are_found_as_each_alone() -> None:
@@ -278,3 +280,15 @@ def test_boulders_of_change_4_come_near_what_others_found_of_one(reference_data:
         assert all(item.low95 <= 0.46 <= item.high95 for item in ratio)
     assert width["lunar-rocks"] < 0.8 * width["powders"]
     assert abs(plagioclase["lunar-rocks"] - 0.48) < 0.15 < abs(plagioclase["powders"] - 0.48)
+
+
+def test_minerals_that_the_spectrum_does_not_bear_out_are_not_in_domain() -> None:
+    """A mixture of olivine and orthopyroxene is none of plagioclase and clinopyroxene, however sure the answer to these
+    two is; a powder of the minerals that are named is in domain."""
+    mineral = {item.id: item.reflectance for item in embedded_end_members(NM)}
+    spectrum = Spectrum("a", NM, np.sqrt(mineral["AG-TJM-008"] * mineral["PE-CMP-030"]))
+    [wrong] = lunarsci.unmix(spectrum, assemblage="CPX-PLG", kind="powder-mixture").shares
+    assert not wrong.in_domain and wrong.status.startswith("out of domain: only with a probability of")
+    pure = Spectrum("b", NM, mineral["PE-CMP-030"])
+    [right] = lunarsci.unmix(pure, assemblage="OPX-PLG", kind="powder-mixture").shares
+    assert right.in_domain

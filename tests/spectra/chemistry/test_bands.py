@@ -28,7 +28,7 @@ from lunarsci.spectra.chemistry.bands import (
     lines_of,
 )
 from lunarsci.spectra.chemistry.bands import TABLE as CHONDRITES
-from lunarsci.spectra.chemistry.plane import PLANE_TABLE, TABLE, anchors, objections, regressions
+from lunarsci.spectra.chemistry.plane import PLANE_TABLE, TABLE, anchors, objections, one_pyroxene, regressions
 from lunarsci.spectra.readers.dispatch import read_spectra
 from lunarsci.spectra.spectrum import Spectrum
 
@@ -334,3 +334,11 @@ def test_unmix_says_what_a_chondrite_is_made_of(reference_data: Path) -> None:
     assert not other["in_domain"] and "not those of" in other["status"]
     assert found.rows()[0]["chondrite_fa_low"] == ordinary["fa"]["low"]
     assert lunarsci.unmix(spectra["OC-TXH-009-C"], kind="powder-mixture").records[0]["chondrite"] is None
+
+
+def test_one_pyroxene_is_on_the_line_to_its_ends_within_errors() -> None:
+    """Synthetic pyroxenes up to ferrosilite; augite and olivine-rich mixtures lie off it, unless methods differ much."""
+    assert all(one_pyroxene((one.bc1000_nm, one.bc2000_nm), (1.0, 5.0)) for one in anchors())
+    off = (1000.0, 1850.0)
+    assert not one_pyroxene(off, (5.0, 5.0)) and one_pyroxene(off, (90.0, 5.0))
+    assert not one_pyroxene((907.0, 1700.0), (5.0, 20.0)) and one_pyroxene((907.0, 1700.0), (5.0, 110.0))

@@ -172,7 +172,7 @@ def test_a_centre_that_depends_on_the_method_says_so(reference_data: Path) -> No
 
 
 def test_what_of_shares_may_be_quoted_is_said() -> None:
-    share = {"fraction": 0.49, "low95": 0.1, "high95": 0.89, "present": 0.97}
+    share = {"fraction": 0.45, "median": 0.49, "low95": 0.1, "high95": 0.89, "present": 0.97}
     shares: dict[str, Any] = {"in_domain": False, "status": "out of domain: too uncertain", "orthopyroxene": share}
     record: dict[str, Any] = {
         "kind": {"name": "not-determined"},
@@ -181,7 +181,7 @@ def test_what_of_shares_may_be_quoted_is_said() -> None:
     }
     told = "orthopyroxene 49 % (95 %: 10 to 89)"
     assert shares_verdict(record) == f"uncertain; quote the 95 % intervals alone: {told}; likely there: orthopyroxene"
-    ratio = {"olivine_in_mafic": {"fraction": 0.28, "low95": 0.0, "high95": 0.75}}
+    ratio = {"olivine_in_mafic": {"fraction": 0.3, "median": 0.28, "low95": 0.0, "high95": 0.75}}
     rock = record | {"abundance": shares | {"in_domain": True, "ratios": ratio}}
     assert shares_verdict(rock).startswith(told)
     assert shares_verdict(rock).endswith("; ratios: olivine in mafic 28 % (95 %: 0 to 75)")
