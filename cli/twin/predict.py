@@ -168,9 +168,10 @@ def _energy_notes(predicted: PredictedDrives) -> list[str]:
     energy = energy_record(predicted.prediction)
     if energy is None:
         return []
+    most = f" (p50), {energy['p95_j']:.4g} J (95 % of drives)" if predicted.prediction.members > 1 else ""
     return [
-        f"motors at the wheels: {energy['p50_j']:.4g} J (p50), {energy['p95_j']:.4g} J (95 % of drives) in "
-        f"{energy['duration_s']:.0f} s; losses of motors, gears and electronics are not in it",
+        f"motors at the wheels: {energy['p50_j']:.4g} J{most} in {energy['duration_s']:.0f} s; "
+        "losses of motors, gears and electronics are not in it",
         *_power_notes(predicted),
     ]
 
