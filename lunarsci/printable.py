@@ -22,6 +22,12 @@ def cell(text: str) -> str:
 
 
 def shortened(text: str) -> str:
-    """A message of at most `LONGEST` characters: what is too long loses its middle, since its end says what to do."""
-    end = LONGEST // 3
-    return text if len(text) <= LONGEST else f"{text[: LONGEST - end - 3]} … {text[-end:]}"
+    """A message of at most `LONGEST` characters: what is too long loses its middle, since its end says what to do.
+
+    The end is whole parts between semicolons, where these are not longer than half of it.
+    """
+    if len(text) <= LONGEST:
+        return text
+    begin = text.find("; ", len(text) - LONGEST // 2)
+    end = text[begin:] if begin >= 0 else f" {text[-LONGEST // 3 :]}"
+    return f"{text[: LONGEST - len(end) - 2]} …{end}"

@@ -89,3 +89,9 @@ def test_toml_fails_in_one_way(content: str) -> None:
 def test_documents_are_what_their_parsers_say() -> None:
     assert json_document('{"a": [1, -2.5e3, "x", null, true]}') == {"a": [1, -2500.0, "x", None, True]}
     assert toml_document("a = 9223372036854775807\n[b]\nc = 1.5") == {"a": 2**63 - 1, "b": {"c": 1.5}}
+
+
+def test_what_to_do_is_not_cut_in_its_middle() -> None:
+    """Whole parts between semicolons stay at the end, as many as fit into half of the line."""
+    do = "; steered_W_deg is 0 for wheels that stay straight; `lunarsci template telemetry` has all"
+    assert shortened(f"log.csv: columns are missing: {'name, ' * 60}of each wheel{do}").endswith(f" …{do}")

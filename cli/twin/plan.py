@@ -55,7 +55,7 @@ SHORT = {
 }  # fmt: skip
 """Words for limits where a table has little room."""
 SHOWN = 12
-"""Candidates in the table for people."""
+"""Candidates in the table for people; those whose plans are written are all in it."""
 EXAMPLES = (
     "lunarsci twin plan --target 8.5,2.5 -o site",
     "lunarsci twin plan --target 2,0.3 --risk 0.3 --members 4 --candidates 3",
@@ -102,7 +102,8 @@ def result_tables(survey: TerrainSurvey) -> list[TextTable]:
 def _choice_table(survey: ChosenDrive) -> TextTable:
     """The best candidates, one line each, best first."""
     choice = survey.choice
-    best, rows = choice.best, [_candidate_row(one) for one in choice.candidates[:SHOWN]]
+    shown = [one for place, one in enumerate(choice.candidates) if place < SHOWN or one.pareto]
+    best, rows = choice.best, [_candidate_row(one) for one in shown]
     stopped = sum(one.stopped for one in choice.candidates)
     verdict = f"take drive {best.number}, {best.plan.name}" if choice.feasible else "NO-GO: no drive keeps the risk"
     verdict = f"doubtful: {verdict}" if survey.soils.doubt else verdict
@@ -113,20 +114,20 @@ def _choice_table(survey: ChosenDrive) -> TextTable:
         *survey.soils.doubt.reasons,
         *([] if choice.feasible else [survey.what_next]),
         f"drive {best.number}: {100 * best.stated.risk:.1f} % fail, at most {100 * best.stated.high:.1f} %; it takes "
-        f"{best.duration_s / 60:.1f} min; weakest at x {best.weakest.x_m:z.2f} m, y {best.weakest.y_m:z.2f} m: "
+        f"{best.duration_s / 60:.1f} min; worst limit at x {best.weakest.x_m:z.2f} m, y {best.weakest.y_m:z.2f} m: "
         f"{best.weakest.why}",
         *([f"commands are {100 * longer:.0f} % longer than its way, for the slip expected"] if longer >= 0.005 else []),
         *([held] if choice.feasible else []),
         "risk %: share of its drives that fail, with 95 % below that of to %; ~ not yet driven on fresh soils; m, J: "
-        "length and work of the way; weakest: what is nearest to its limit, or most often beyond it, at so many m of "
-        "the way; m left, m right in a drive's name: how far its way lies beside the direct one",
+        "length and work of the way; worst limit: which is nearest, or most often broken, at so many m of the "
+        "way; m left, m right in a drive's name: how far its way lies beside the direct one",
         f"* not beaten in risk, length and energy at once; {len(choice.candidates)} drives compared, {stopped} stopped "
         f"early, of which {len(choice.candidates) - len(rows)} are left out here: --csv",
         f"end within {survey.tolerance_m:g} m of the target",
         *survey.soils.inputs.soil_notes(survey.members, 0),
         *survey.notes(),
     ]
-    headers = ["no", "drive", "risk %", "to %", "m", "J", "weakest", "at m"]
+    headers = ["no", "drive", "risk %", "to %", "m", "J", "worst limit", "at m"]
     return TextTable(headers, rows, title=f"{verdict}; accepted: {accepted}", notes=notes)
 
 

@@ -39,6 +39,7 @@ NEXT = (
     "what may help: what a drive teaches of the soil (`twin update`, with the track's depth), halts to be localised "
     "(--fixes), or another way (`twin plan --risk`)"
 )
+ONE_SOIL = "on this one soil; it says nothing of others: --soil priors --members 64"
 HEADERS = (
     "quantity (worst of each drive)",
     "p50",
@@ -128,6 +129,7 @@ def _verdict_tables(predicted: PredictedDrives) -> list[TextTable]:
     )
     notes = [
         *predicted.soils.doubt.reasons,
+        *([ONE_SOIL] if prediction.members == 1 else []),
         *predicted.inputs.soil_notes(prediction.members, len(prediction.parameters)),
         *predicted.inputs.remarks,
         *_endpoint_notes(verdict),
@@ -142,6 +144,8 @@ def _verdict_tables(predicted: PredictedDrives) -> list[TextTable]:
     ]
     share = verdict.limits[0].share if verdict.limits else 0.95
     headers = [header.format(share=f"{100 * share:g} %") for header in HEADERS]
+    if prediction.members == 1:
+        headers, *rows = ([row[0], *row[3:]] for row in (headers, *rows))
     return [TextTable(headers, rows, title=title, notes=notes)]
 
 
@@ -164,9 +168,10 @@ def _energy_notes(predicted: PredictedDrives) -> list[str]:
     energy = energy_record(predicted.prediction)
     if energy is None:
         return []
+    most = f" (p50), {energy['p95_j']:.4g} J (95 % of drives)" if predicted.prediction.members > 1 else ""
     return [
-        f"motors at the wheels: {energy['p50_j']:.4g} J (p50), {energy['p95_j']:.4g} J (95 % of drives) in "
-        f"{energy['duration_s']:.0f} s; losses of motors, gears and electronics are not in it",
+        f"motors at the wheels: {energy['p50_j']:.4g} J{most} in {energy['duration_s']:.0f} s; "
+        "losses of motors, gears and electronics are not in it",
         *_power_notes(predicted),
     ]
 
@@ -238,7 +243,7 @@ def _endpoint_notes(verdict: Verdict) -> list[str]:
         f"ends: mean {end.bias_m:.3f} m from the destination, all within {end.covering_radius_m:.3f} m of it, "
         f"within {end.scatter_radius_m:.3f} m of each other's middle"
     ]
-    if (share := end.physics_share) is not None:
+    if (share := end.physics_share) is not None and share >= 0.005:
         notes.append(
             f"of the variance of the ends {100 * (1 - share):.0f} % is soil, {100 * share:.0f} % what the physics "
             "is off by; limits are held against both"

@@ -98,7 +98,8 @@ def _wheel_table(result: MeasuredStates, record: dict[str, Any]) -> TextTable:
     changes = record["slip_changes"]["ahead"]
     notes = [
         f"the rover drove {record['distance_m']:.3g} m in {record['duration_s']:.4g} s; its wheels rolled "
-        f"{record['wheel_distance_m']:.3g} m",
+        f"{record['wheel_distance_m']:.3g} m, an overall slip of "
+        f"{1.0 - record['distance_m'] / max(record['wheel_distance_m'], 1e-9):.3f}",
         f"{record['positions']} positions scatter about the motion with a reduced chi-square of "
         f"{record['reduced_chi_square']:.2f}",
         f"slip varies by about {changes['amplitude']:.2g} over {changes['length_m']:.2g} m of the way, apart from "

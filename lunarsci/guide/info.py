@@ -558,9 +558,7 @@ def _rover(file: InputFile) -> Mapping[str, Any]:
     contents = {"name": description.name, "wheel radius_m": wheel.radius_m, "wheel width_m": wheel.width_m}
     left = left_to_defaults(description)
     keys = [*description.assumed, *left]
-    parts = dict.fromkeys(key.partition(".")[0] for key in keys)
-    named = _listed(keys) if len(keys) <= NAMES_LISTED else f"of {', '.join(parts)}"
-    contents |= {"assumed numbers": f"{len(keys)}: {named}" if keys else 0}
+    contents |= {"assumed numbers": f"{len(keys)}: {_listed(keys)}" if keys else 0}
     if left:
         contents["taken as usual, for want of a number"] = ", ".join(f"{key} {getattr(wheel, key):g}" for key in left)
     if "suspension" not in description.tables:
@@ -669,8 +667,15 @@ def _rows(file: InputFile) -> Mapping[str, Any]:
 
 def _other_table(file: InputFile) -> Mapping[str, Any]:
     """What `_rows` says; a remark where two columns or more tell what it could be meant for."""
+    from lunarsci.twin.telemetry.reading import likely_meaning
 
     columns = [str(name) for name in read_csv_table(file).columns]
+    likely = {name: meant for name in columns if (meant := likely_meaning(name)) and meant != name}
+    if any(meant.startswith("rate_") for meant in likely.values()):
+        wanted = ", ".join(f"{name} -> {meant}" for name, meant in likely.items())
+        text = f"looks like telemetry; `twin states` takes it with these names and units: {wanted}"
+        warnings.warn(text, LunarSciWarning, stacklevel=2)
+        return _rows(file)
     for words, meant in LOOKS_LIKE.items():
         if len(alike := [name for name in columns if re.search(words, name, re.IGNORECASE)]) > 1:
             warnings.warn(f"columns {', '.join(alike[:4])}: {meant}", LunarSciWarning, stacklevel=2)

@@ -40,7 +40,9 @@ def test_forces_of_several_soils_count_alike(run, plan: Path) -> None:
 
 def test_a_motion_is_explained_by_its_soil_and_not_by_another(run, plan: Path, tmp_path: Path) -> None:
     folder = tmp_path / "drive"
-    assert run("twin", "predict", plan, "--soil", "longji", "-o", folder).code == 0
+    predicted = run("twin", "predict", plan, "--soil", "longji", "-o", folder)
+    assert predicted.code == 0 and "on this one soil; it says nothing of others" in predicted.out
+    assert "95 % of drives" not in predicted.out and "p50" not in predicted.out, predicted.out
     motion = ("twin", "loads", plan, "--motion", folder / "paths.csv")
     done = run(*motion, "--json")
     assert done.code == 0, done.err

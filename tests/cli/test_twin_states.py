@@ -170,6 +170,11 @@ def test_positions_from_elsewhere_take_the_place_of_those_in_the_telemetry(
     bare = table.drop(columns=["x_m", "y_m", "xx_m2", "xy_m2", "yy_m2"])
     fixed.to_csv(tmp_path / "fixed.csv", index=False)
     bare.to_csv(tmp_path / "bare.csv", index=False)
+    log = tmp_path / "log.csv"
+    log.write_text("t,w_fl,w_fr,w_rl,w_rr,vo_x,vo_y,yaw\n0,1,1,1,1,0,0,0\n")
+    said = run("twin", "states", log, "--rover", "small-four").err[-1]
+    assert "time_s (t?), x_m (vo_x?), y_m (vo_y?), yaw_deg (yaw?)" in said
+    assert "vo_x -> x_m" in (known := run("info", log).out) and "w_rl -> rate_RL_rad_s" in known
     assert "columns are missing: x_m, y_m;" in run("twin", "states", tmp_path / "bare.csv", plan).err[-1]
     wheels = []
     for lines in (

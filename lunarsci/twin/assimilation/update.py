@@ -469,11 +469,10 @@ class SlipLean:
             return ""
         more = "more" if self.simulated > self.measured else "less"
         errors = abs(self.simulated - self.measured) / self.error
-        way_out = "" if self.stretch else ", or learn each stretch on its own (--save-map)"
         return (
             f"{self.stretch}median slip is {self.simulated:.3f} predicted by this belief, {self.measured:.3f} measured "
             f"({errors:.1f} standard errors): predictions slip {more} than the rover does; look for a wrong rover, "
-            f"track depth or terrain{way_out}"
+            "track depth or terrain"
         )
 
     @property

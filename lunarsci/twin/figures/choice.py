@@ -149,7 +149,7 @@ def _why(weak: Weakest) -> str:
     label, factor = LABELS[weak.quantity]
     name, _, unit = label.rstrip("]").partition(" [")
     unit = "" if unit == "-" else f" {unit}"
-    return f"95 % of the drives keep {name} {factor * weak.value:.3g}{unit}, limit {factor * weak.limit:g}{unit}"
+    return weak.in_words(name, unit, factor)
 
 
 def _end_of(plan: Plan, legs: int) -> tuple[float, float]:

@@ -277,7 +277,9 @@ class ChosenDrive(TerrainSurvey):
             "more charge or Sun": {"battery_charge"},
         }
         advice = "; ".join(what for what, quantities in help_for.items() if quantities & broken)
-        names = ", ".join(f"plan-{one.number:02d}.toml" for one in self.choice.front[:3])
+        if any(one.plan.fixes for one in self.choice.candidates):
+            advice = advice.replace("--fixes, ", "")
+        names = ", ".join(f"plan-{one.number:02d}.toml" for one in self.choice.front)
         return (
             f"what may help: {advice or 'another target'}, or a higher --risk; with -o DIR the drives that no other "
             f"beats are there as {names}: `twin predict` says more of them"
@@ -360,9 +362,9 @@ def chosen_drive(terrain: str | None, asked: PlanRequest, risk: AcceptedRisk, pr
 
     Raises DataError, RequestError, and ParameterError where no path leads there.
     """
-    check_asked(asked, risk)
     given = GivenSoil.read(asked.soil)
     site = read_site(terrain, asked, given.named, asked.limits_of_ground())
+    check_asked(asked, risk)
     site.check.belief(given.name, given.belief)
     site.check.law(given.name, given.verdict)
     check_start(asked, site)

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
 from lunarsci.errors import ParameterError, RequestError
 from lunarsci.io.documents import geojson_feature
@@ -53,7 +52,7 @@ from lunarsci.twin.plans.plan import Leg, Plan, plan_text, read_plan
 from lunarsci.twin.plans.risk import USUAL, AcceptedRisk, Chance
 from lunarsci.twin.routes.candidates import candidate_plans
 from lunarsci.twin.routes.long_way import way_to
-from lunarsci.twin.routes.planner import PlannedPath
+from lunarsci.twin.routes.planner import PlannedPath, nearest_room
 from lunarsci.twin.rover import Rover
 
 if TYPE_CHECKING:
@@ -345,19 +344,10 @@ def check_targets(mission: Mission, surface: Traversability) -> None:
 
 def beyond(target: MissionTarget, surface: Traversability, rover: Rover) -> tuple[float, float] | None:
     """The place with room for the rover that is nearest to a target on unknown ground; None where it is known."""
-    terrain, unknown = surface.terrain, surface.unknown
-    row, column = terrain.nodes(np.array([target.x_m, target.y_m]))
-    if not unknown[row, column]:
+    row, column = surface.terrain.nodes(np.array([target.x_m, target.y_m]))
+    if not surface.unknown[row, column]:
         return None
-    closed = np.pad(surface.hazard | unknown, 1, constant_values=True)
-    room = distance_transform_edt(~closed)[1:-1, 1:-1] * terrain.spacing_m
-    wide = room > rover_footprint(rover).reach_m + surface.mobility.hazard_distance_m
-    if not wide.any():
-        return None
-    rows, columns = np.nonzero(wide)
-    x, y = terrain.x_m[columns], terrain.y_m[rows]
-    nearest = np.hypot(x - target.x_m, y - target.y_m).argmin()
-    return float(x[nearest]), float(y[nearest])
+    return nearest_room(surface, (target.x_m, target.y_m), rover_footprint(rover).reach_m)
 
 
 @job

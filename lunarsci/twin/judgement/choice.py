@@ -21,7 +21,7 @@ from lunarsci.twin.judgement.keeping import broken, extremes, limited, limits_ju
 from lunarsci.twin.judgement.quantities import least_of_95
 from lunarsci.twin.lanes import GROUP
 from lunarsci.twin.plans.path import make_schedule
-from lunarsci.twin.plans.plan import Leg, Limit, Plan
+from lunarsci.twin.plans.plan import AT_LEAST, Leg, Limit, Plan
 from lunarsci.twin.plans.risk import CONFIDENCE, AcceptedRisk, Chance
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.discrepancy import with_discrepancy
@@ -243,8 +243,13 @@ class Weakest:
         """One sentence."""
         if self.quantity == UNFINISHED:
             return f"{self.failed} drive{'s end' if self.failed > 1 else ' ends'} early: {self.unit}"
-        unit = "" if self.unit == "-" else f" {self.unit}"
-        return f"95 % of the drives keep {self.quantity} {self.value:.3g}{unit}, limit {self.limit:.4g}{unit}"
+        return self.in_words(self.quantity, "" if self.unit == "-" else f" {self.unit}")
+
+    def in_words(self, name: str, unit: str, factor: float = 1.0) -> str:
+        """How far 95 % of the drives come, beside the limit, in some unit."""
+        side = "above" if self.quantity in AT_LEAST else "below"
+        reached, limit = f"{factor * self.value:.3g}{unit}", f"{factor * self.limit:.4g}{unit}"
+        return f"{name}: 95 % of the drives stay {side} {reached}; the limit is {limit}"
 
     @property
     def short(self) -> str:

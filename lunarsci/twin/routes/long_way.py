@@ -75,8 +75,9 @@ def long_way(
     next ones are tried. Raises ParameterError with what is in the way where there is no way over the nodes, or no
     arcs.
     """
+    reach = rover_footprint(rover).reach_m
     for what, place in (("start", start[:2]), ("target", target)):
-        check_place(patch(surface, finer, np.array([place]), 2.0 * surface.terrain.spacing_m), what, place)
+        check_place(patch(surface, finer, np.array([place]), 2.0 * surface.terrain.spacing_m), what, place, reach)
     ends, whole = np.array([start[:2], target]), laid_over(surface, finer) if finer else surface
     strip = _strip(whole, rover, ends)
     way = way_over_nodes(whole, strip, ends)

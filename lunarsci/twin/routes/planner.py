@@ -142,12 +142,13 @@ class RouteSearch:
         """Raises ParameterError for a start or target that is outside the map, on a hazard or too near to one."""
         goal = (*target, math.nan if final_heading_deg is None else math.radians(final_heading_deg))
         pose = np.array([start[0], start[1], math.radians(start[2])])
-        check_place(surface, "start", start)
-        check_place(surface, "target", (*target, 0.0 if final_heading_deg is None else final_heading_deg))
+        footprint = rover_footprint(rover)
+        check_place(surface, "start", start, footprint.reach_m)
+        place = (*target, 0.0 if final_heading_deg is None else final_heading_deg)
+        check_place(surface, "target", place, footprint.reach_m)
         distance = math.dist(start[:2], target)
         if distance < ARRIVAL_M:
             raise ParameterError("the target is where the rover stands; give another target")
-        footprint = rover_footprint(rover)
         ends = np.array([start[:2], target])
         ground = search_ground(surface, ends, search_margin_m(footprint, distance))
         search = cls(surface=surface, ground=ground, rover=rover, footprint=footprint, start=pose, goal=np.array(goal))
@@ -316,8 +317,25 @@ def path_table(path: PlannedPath, surface: Traversability, every_m: float = 0.1)
     )
 
 
-def check_place(surface: Traversability, name: str, place: Sequence[float]) -> None:
-    """Raises ParameterError for what is no place for a rover: outside the map, or with the reason."""
+def nearest_room(surface: Traversability, place: tuple[float, float], reach_m: float) -> tuple[float, float] | None:
+    """The place next to another where a rover that reaches so far may stand, whatever its heading; None for none."""
+    from scipy.ndimage import distance_transform_edt
+
+    terrain = surface.terrain
+    closed = np.pad(surface.hazard | surface.unknown, 1, constant_values=True)
+    room = distance_transform_edt(~closed)[1:-1, 1:-1] * terrain.spacing_m
+    rows, columns = np.nonzero(room > reach_m + surface.mobility.hazard_distance_m)
+    if not rows.size:
+        return None
+    x, y = terrain.x_m[columns], terrain.y_m[rows]
+    nearest = np.hypot(x - place[0], y - place[1]).argmin()
+    return float(x[nearest]), float(y[nearest])
+
+
+def check_place(surface: Traversability, name: str, place: Sequence[float], reach_m: float = 0.0) -> None:
+    """Raises ParameterError for what is no place for a rover: outside the map, or with the reason and the nearest place
+    for one that reaches so far.
+    """
     if not all(map(math.isfinite, place)):
         raise ParameterError(f"the {name} is {place}; give finite numbers")
     terrain, (x, y) = surface.terrain, place[:2]
@@ -331,9 +349,11 @@ def check_place(surface: Traversability, name: str, place: Sequence[float]) -> N
     if reason := surface.reason(row, column):
         steep = float(surface.maps.slope_deg[row, column])
         limit = f", such as --max-slope {math.ceil(steep)}" if steep > surface.mobility.max_slope_deg else ""
+        near = nearest_room(surface, (x, y), reach_m)
+        other = "" if near is None else f", the nearest with room being {near[0]:.6g},{near[1]:.6g}"
         raise ParameterError(
-            f"the rover cannot be at the {name}: {reason}; give another {name}, or, if it stands there, a limit that "
-            f"lets it leave{limit}"
+            f"the rover cannot be at the {name}: {reason}; give another {name}{other}; or, if it stands there, a limit "
+            f"that lets it leave{limit}"
         )
 
 

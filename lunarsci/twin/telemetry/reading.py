@@ -62,6 +62,16 @@ UNIT = re.compile(rf"_({'|'.join([*UNITS, *(unit for others in UNITS.values() fo
 PLACES = ("x_m", "y_m", *ERRORS, "sigma_m")
 OF_A_WHEEL = (("angle_{}_deg", "rate_{}_deg_s", "speed_{}_m_s"), ("steered_{}_deg", "steering_{}_deg"))
 """Of each of these every wheel needs one: how it turned, and how it was steered."""
+_PLACED, _OF_WHEEL = r"(?:(?:vo|vio|odom\w*|pos\w*|est|loc)_)?", r"_?(?P<wheel>[fmr][lr])(_\w+)?"
+_LIKELY = {
+    r"t|t_?s|time|timestamp|stamp|secs?|seconds|utc": "time_s",
+    rf"{_PLACED}(x|east\w*)(_m)?": "x_m",
+    rf"{_PLACED}(y|north\w*)(_m)?": "y_m",
+    rf"{_PLACED}(yaw|heading|hdg|psi)(_\w+)?": "yaw_deg",
+    rf"(steer\w*?|delta){_OF_WHEEL}": "steered_{}_deg",
+    rf"(w|omega){_OF_WHEEL}": "rate_{}_rad_s",
+}
+"""Names that logs have for columns of telemetry."""
 # Words for ends and sides of a rover in names of wheels, and for covariances and clocks in logs of other software.
 _ENDS = {"f": "F", "front": "F", "r": "R", "rear": "R", "b": "R", "back": "R"}
 _SIDES = {"l": "L", "left": "L", "r": "R", "right": "R"}
@@ -140,12 +150,12 @@ def check_telemetry_columns(file: str, names: list[str], rover: Rover, *, placed
     missing = [
         f"{name}{_guess(name, names)}" for name in NEEDED if name not in names and (placed or name not in PLACES)
     ]
-    for forms in OF_A_WHEEL:
+    for forms, usual in zip(OF_A_WHEEL, (1, 0), strict=True):
         without = [wheel for wheel in rover.wheels if not any(form.format(wheel) in names for form in forms)]
         if without:
             which, guess = f"W = {', '.join(without)}, as the file has the wheels {', '.join(wheels)}", ""
             if len(without) == len(rover.wheels):
-                which, guess = "each wheel W", _guess(forms[0].format(without[0]), names)
+                which, guess = "each wheel W", _guess(forms[usual].format(without[0]), names)
             missing.append(f"{' or '.join(form.format('W') for form in forms)} of {which}{guess}")
     if others or missing:
         wheel = f"'{', '.join(others[:1])}' is no wheel of {rover.name}, which has {', '.join(rover.wheels)}"
@@ -157,7 +167,20 @@ def check_telemetry_columns(file: str, names: list[str], rover: Rover, *, placed
 def _guess(needed: str, names: list[str]) -> str:
     bare = UNIT.sub("", needed)
     other = [name for name in names if UNIT.sub("", name) == bare] or difflib.get_close_matches(needed, names, 1, 0.75)
+    other = other or [name for name in names if UNIT.sub("", likely_meaning(name) or name) == bare]
     return f" ({other[0]}?)" if other else ""
+
+
+def likely_meaning(name: str) -> str:
+    """The column of telemetry that another name may stand for; '' where none is likely.
+
+    >>> likely_meaning("t"), likely_meaning("vo_x"), likely_meaning("w_fl")
+    ('time_s', 'x_m', 'rate_FL_rad_s')
+    """
+    for words, meant in _LIKELY.items():
+        if match := re.fullmatch(words, name, re.IGNORECASE):
+            return meant.format(_wheel_in(match["wheel"])) if "{" in meant else meant
+    return ""
 
 
 def meaning_of(name: str) -> str:

@@ -15,6 +15,7 @@ from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.judgement.choice import (
     Conditions,
     DriveChoice,
+    Weakest,
     choose,
     drive_candidates,
     joined,
@@ -92,6 +93,12 @@ def test_commands_that_make_up_for_slip_take_the_median_drive_along_the_whole_wa
         driven_m = [np.hypot(*np.diff(one.places_m[one.finished], axis=1).T).sum(axis=0) for one in (old, new)]
         gone_old, gone_new = (float(np.median(way)) / before.length_m for way in driven_m)
         assert gone_old < 0.85 and gone_new == pytest.approx(1.0, abs=0.05)
+
+
+def test_what_drives_stay_below_or_above_is_in_words() -> None:
+    slid = Weakest("side_slip_deg", "deg", 72.94, 10.0, 5, 0.0, 0.0, 1.0)
+    assert slid.why == "side_slip_deg: 95 % of the drives stay below 72.9 deg; the limit is 10 deg"
+    assert "stay above 0.02 m;" in dataclasses.replace(slid, quantity="clearance_m", unit="m", value=0.02).why
 
 
 def test_the_bounds_are_those_of_the_beta_law_and_cover_as_often_as_they_say() -> None:
