@@ -127,8 +127,9 @@ def grid_of(
     """The mean height of each cell, and between pixels that lie farther apart than cells, up to a range `farthest_m`.
 
     The error of a height is that at its place: a point that is wrong along its ray is also beside itself, which a slope
-    turns into height. Common errors are those of the `covariance` of the pose, as `Adjusted` has it, and the rig
-    (30, 30); without it those of the rig alone. `moved` is the rig where it is not quite the one that rectified.
+    turns into height. What rig and pose do is common to all, also where it moves the whole map on uneven ground.
+    Common errors are those of the `covariance` of the pose, as `Adjusted` has it, and the rig (30, 30); without it
+    those of the rig alone. `moved` is the rig where it is not quite the one that rectified.
     """
     cloud = cloud_of(matches, pose, farthest_m, None if moved is None else (rig, moved))
     if covariance is None:
@@ -151,19 +152,15 @@ def grid_of(
     height, variance, by_disparity, width, alike, between = np.moveaxis(layers, -1, 0)
     count = np.bincount(cell[near], minlength=shape[0] * shape[1]).reshape(shape)
     common, shift = _common_errors(moved or rig, pose, height, (x0, y0, spacing_m), covariance)
-    parts = (
-        _spread_of_means(height, variance, (count, alike), covered, spacing_m),
-        np.sqrt(between),
-        _unevenness(height, spacing_m) * shift,
-    )
+    means = _spread_of_means(height, variance, (count, alike), covered, spacing_m)
     return ElevationModel(
         name=name,
         x0_m=x0,
         y0_m=y0,
         spacing_m=spacing_m,
         height_m=height,
-        height_m_sigma=np.sqrt(sum(part**2 for part in parts)),
-        height_m_common_sigma=common,
+        height_m_sigma=np.hypot(means, np.sqrt(between)),
+        height_m_common_sigma=np.hypot(common, _unevenness(height, spacing_m) * shift),
         count=np.where(np.isfinite(height), np.maximum(count, 0.5), 0.0),
         height_by_disparity_m_px=by_disparity,
         resolution_m=np.nan_to_num(width),

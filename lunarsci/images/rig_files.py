@@ -336,7 +336,7 @@ def _of_element(node: Element) -> Any:
 def _flattened(tree: Mapping[str, Any]) -> dict[str, Any]:
     """Keys in small letters without what is between them; intrinsics that have a key each as a matrix and its lens."""
     keys = {re.sub(r"[^a-z0-9]", "", str(key).lower()): value for key, value in tree.items()}
-    keys = {re.sub("^camera(?!(matrix|name)$)", "", key): value for key, value in keys.items()}
+    keys = {re.sub("^camera(?!matrix|name)", "", key): value for key, value in keys.items()}
     cells = [next((keys[name] for name in names if name in keys), None) for names in ONE_BY_ONE]
     if None not in cells:
         keys |= {"intrinsics": cells}

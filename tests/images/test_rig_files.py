@@ -370,6 +370,23 @@ def test_what_opencv_writes_of_boards_in_mm_is_a_rig_without_the_size_of_its_pic
     assert info(str(tmp_path / "ground.npz")).kind == "terrain"
 
 
+@pytest.mark.parametrize(
+    "names",
+    [
+        "cameraMatrix1 distCoeffs1 cameraMatrix2 distCoeffs2",
+        "K1 dist1 K2 dist2",
+        "cameraMatrix1 D1 cameraMatrix2 D2",
+        "mtxL distL mtxR distR",
+        "camera_matrix_left dist_left camera_matrix_right dist_right",
+    ],
+)
+def test_cameras_go_by_the_names_that_programs_of_opencv_give_them(tmp_path: Path, names: str) -> None:
+    """Those of the parameters of `stereoCalibrate`, of its samples, and of what people write."""
+    values = dict(zip(names.split(), (MATRIX, np.array([LENS]), MATRIX, np.array([LENS])), strict=True))
+    np.savez(tmp_path / "stereo.npz", R=TURN, T=1e3 * WAY[:, None], **values)
+    check(read_rig(str(tmp_path / "stereo.npz"), picture_px=(800, 600)))
+
+
 def test_the_template_of_a_rig_is_the_navcam_with_its_errors(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
