@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -152,7 +153,7 @@ def _stacked(
     count = modes[0].by.shape[2]
     of = [np.pad(mode.of, ((0, count - len(mode.of)), (0, 0))) for mode in modes]
     height, variance = np.full((2, len(models), *shape), np.nan)
-    by = np.zeros((len(models), *shape, count), dtype=np.float32)
+    by: Any = np.zeros((len(models), *shape, count), dtype=np.float32)
     for k, (model, mode, place) in enumerate(zip(models, modes, windows, strict=True)):
         sigma = model.layer("height_m_sigma")
         height[k][place] = np.where(sigma > 0, model.height_m, np.nan)
@@ -160,7 +161,7 @@ def _stacked(
         by[k][place] = np.nan_to_num(mode.by)
     numbers = range(len(models))
     prior = np.block([[of[i] @ localised.adjusted.of_pair(i, j) @ of[j].T for j in numbers] for i in numbers])
-    y, x = (step * (low[axis] + np.arange(shape[axis])) for axis in (0, 1))
+    y, x = (np.asarray(step * (low[axis] + np.arange(shape[axis])), dtype=float) for axis in (0, 1))
     flat = len(models), int(shape[0] * shape[1])
     stack = Stack(
         height=height.reshape(flat),
