@@ -1,7 +1,7 @@
 """The `lunarsci` command."""
 
-import contextlib
 import ast
+import contextlib
 import os
 import re
 import signal
