@@ -220,20 +220,17 @@ def _intervals_table(intervals: Mapping[str, Any]) -> TextTable:
 def _choice_table(choice: Mapping[str, Any]) -> TextTable:
     from lunarsci.spectra.mgm.assemblages import SURE
 
-    shown = [(item, f"{100 * item['probability']:.1f}") for item in choice["candidates"]]
-    rows = [
-        [item["assemblage"], percent, f"{item['ln_evidence']:.1f}"] for item, percent in shown if float(percent) >= 0.5
-    ]
+    shown = [item for item in choice["candidates"] if item["probability"] >= 0.005]
+    rows = [[one["assemblage"], f"{100 * one['probability']:.1f}", f"{one['ln_evidence']:.1f}"] for one in shown]
     together = sum(item["probability"] for item in choice["candidates"] if item["assemblage"] in choice["family"])
     headers = ["assemblage", "recalibrated probability [%]", "ln evidence"]
     sure = ", ".join(f"{mineral} {100 * share:.0f} %" for mineral, share in choice["mineral_probability"].items())
     notes = [
         f"the fewest that hold {100 * SURE:.0f} %: {', '.join(choice['family'])} (together {100 * together:.1f} %)",
-        "probability: of the evidence, less for every mineral more, recalibrated on laboratory spectra; so its order may "
-        "be another than that of ln evidence",
+        "probability: ln evidence, less for every mineral more, recalibrated on laboratory spectra; orders may differ",
         f"probability that a mineral is there at all, if these are one or two (not its share): {sure}",
     ]
-    if left := len(shown) - len(rows):
+    if left := len(choice["candidates"]) - len(rows):
         notes.append(f"{left} others, each below half a per cent: --json")
     return TextTable(headers, rows, title="assemblages, the most probable first", notes=notes)
 

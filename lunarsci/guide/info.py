@@ -474,15 +474,15 @@ def _picture(file: InputFile) -> Mapping[str, Any]:
     return {**contents, "camera": "unnamed" if named is None else named[1] or named[2], **camera_contents(file)}
 
 
-class Listed(str):
+class NamesOfSome(str):
     """The first of some names; `whole` has all."""
 
     whole: str
 
 
-def _listed(names: Any) -> Listed:
+def _listed(names: Any) -> NamesOfSome:
     every = [str(name) for name in names]
-    text = Listed(some_of(every, NAMES_LISTED))
+    text = NamesOfSome(some_of(every, NAMES_LISTED))
     text.whole = ", ".join(every)
     return text
 

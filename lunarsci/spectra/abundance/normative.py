@@ -168,7 +168,8 @@ def normative(spectrum: Spectrum, kind: KindVerdict, laws: Mapping[str, SoilRegr
     doubt = "" if kind.kind == "weathered-soil" else "; if it is a soil, and no rock"
     text = f"regression on 11 lunar soils in a laboratory, for its level; no modes of minerals{doubt}"
     if far := [CALLED[name] for name, value in values.items() if not value.within]:
-        text = f"out of domain: its {' and '.join(far)} {'lie' if far[1:] else 'lies'} beyond the soils learned from, so that errors are wide; {text}"
+        beyond = f"{'lie' if far[1:] else 'lies'} beyond the soils learned from"
+        text = f"out of domain: its {' and '.join(far)} {beyond}, so that errors are wide; {text}"
     return Normative(values, not far, text)
 
 

@@ -549,6 +549,6 @@ def _ratios(drawn: FloatArray, there: BoolArray) -> tuple[MineralFraction, ...]:
         if not there[places[1]].all():
             continue
         value = drawn[:, places[0]].sum(axis=1) / np.maximum(drawn[:, places[1]].sum(axis=1), 1e-6)
-        *ends, middle = np.quantile(value, [0.16, 0.84, 0.025, 0.975, 0.5]).tolist()
-        ratios.append(MineralFraction(name, float(value.mean()), *ends, median=middle))
+        low, high, low95, high95, middle = np.quantile(value, [0.16, 0.84, 0.025, 0.975, 0.5]).tolist()
+        ratios.append(MineralFraction(name, float(value.mean()), low, high, low95, high95, median=middle))
     return tuple(ratios)

@@ -233,7 +233,7 @@ def verdict(probabilities: Mapping[str, float], beyond: Sequence[str] = (), caus
         left.remove(other)
         parts.append(
             f"a pyroxene is sure: the fit needs {one}, but {other} is not excluded ({100 * chance[other]:.0f} %): "
-            f"laboratory mixtures that were fitted as well without it held up to {100 * HIDDEN[other]:.0f} % of it, and "
+            f"laboratory mixtures fitted as well without it held up to {100 * HIDDEN[other]:.0f} % of it, and "
             f"{WRONG_ONE[0]} of {WRONG_ONE[1]} samples with one pyroxene held the other than the fit said"
         )
     for group in GROUPS.keys() & set(status["sure"]):

@@ -337,7 +337,7 @@ def test_unmix_says_what_a_chondrite_is_made_of(reference_data: Path) -> None:
 
 
 def test_one_pyroxene_is_on_the_line_to_its_ends_within_errors() -> None:
-    """Synthetic pyroxenes up to ferrosilite; augite and olivine-rich mixtures lie off it, unless methods differ much."""
+    """Synthetic pyroxenes up to ferrosilite are; what lies off the line is not, unless methods differ by as much."""
     assert all(one_pyroxene((one.bc1000_nm, one.bc2000_nm), (1.0, 5.0)) for one in anchors())
     off = (1000.0, 1850.0)
     assert not one_pyroxene(off, (5.0, 5.0)) and one_pyroxene(off, (90.0, 5.0))
