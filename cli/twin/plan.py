@@ -119,7 +119,7 @@ def _choice_table(survey: ChosenDrive) -> TextTable:
         *([f"commands are {100 * longer:.0f} % longer than its way, for the slip expected"] if longer >= 0.005 else []),
         *([held] if choice.feasible else []),
         "risk %: share of its drives that fail, with 95 % below that of to %; ~ not yet driven on fresh soils; m, J: "
-        "length and work of the way; worst limit: which is nearest, or most often broken, at so many m of the "
+        "length and work of the way; limit: which is nearest, or most often broken, at so many m of the "
         "way; m left, m right in a drive's name: how far its way lies beside the direct one",
         f"* not beaten in risk, length and energy at once; {len(choice.candidates)} drives compared, {stopped} stopped "
         f"early, of which {len(choice.candidates) - len(rows)} are left out here: --csv",
@@ -127,7 +127,7 @@ def _choice_table(survey: ChosenDrive) -> TextTable:
         *survey.soils.inputs.soil_notes(survey.members, 0),
         *survey.notes(),
     ]
-    headers = ["no", "drive", "risk %", "to %", "m", "J", "worst limit", "at m"]
+    headers = ["no", "drive", "risk %", "to %", "m", "J", "limit", "at m"]
     return TextTable(headers, rows, title=f"{verdict}; accepted: {accepted}", notes=notes)
 
 
