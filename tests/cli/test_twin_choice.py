@@ -132,17 +132,18 @@ def test_limits_of_a_mission_are_counted_and_written(run, belief: Path, tmp_path
 
 
 def test_all_that_takes_long_tells_how_far_it_is(belief: Path) -> None:
-    """Maps, the search for candidates, and their drives (also those on fresh soils), none with a step back."""
+    """Maps, the search, how candidates slip, and their drives (also those on fresh soils), none with a step back."""
     heard: list[tuple[int, int]] = []
     asked = {"target": "3,0.5", "risk": 0.2, "candidates": 3, "members": 16, "soil": (str(belief),)}
     found = plan(progress=lambda done, total: heard.append((done, total)), **asked)
     totals = list(dict.fromkeys(total for _, total in heard))
-    maps, search, drives = ([done for done, of in heard if of == total] for total in totals)
+    maps, search, slips, drives = ([done for done, of in heard if of == total] for total in totals)
     assert maps[-1] == totals[0] == 1  # tile
     assert search == [*range(totals[1] + 1)] and totals[1] >= 3  # manners of driving
-    assert drives == sorted(drives) and drives[0] == 0 and totals[2] >= 3 * 16 + 3 * 32
+    assert slips == sorted(slips) and slips[-1] == totals[2] == 3  # candidates, driven to see how far they slip
+    assert drives == sorted(drives) and drives[0] == 0 and totals[3] >= 3 * 16 + 3 * 32
     driven = sum(one["screened"]["drives"] for one in found.to_dict()["choice"]["candidates"])
-    assert driven >= 48 and drives[-1] == totals[2] and 48 in drives
+    assert driven >= 48 and drives[-1] == totals[3] and 48 in drives
 
 
 def test_a_battery_that_does_not_reach_is_what_stands_in_the_way(run, belief: Path) -> None:
