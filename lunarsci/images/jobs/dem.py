@@ -127,10 +127,12 @@ class StereoTerrain(Result):
         """What there is to say about heights and rig."""
         notes = [*STATEMENTS]
         if self.levelled:
-            notes.append("no pose was given: the ground near the rover is taken as level, x points ahead")
+            notes.append(
+                "no pose was given: the ground near the rover is taken as level, and slopes are those against it"
+            )
         notes += [f"rig read as: {note}" for note in self.rig.read_as]
         if self.rig.assumed:
-            notes.append(f"the rig assumes: {', '.join(self.rig.assumed)}")
+            notes.append(f"the rig ({self.rig.name}) assumes: {', '.join(self.rig.assumed)}")
         if self.model.synthetic:
             notes.append("the pictures are SYNTHETIC")
         return notes

@@ -175,7 +175,7 @@ class LocatedStations(Result):
         if any(station.time_s is None for station in self.localised.stations):
             notes.append("`twin states` and `twin update` need times: add time_s to each pose.toml")
         if self.rig.assumed:
-            notes.append(f"the rig assumes: {', '.join(self.rig.assumed)}")
+            notes.append(f"the rig ({self.rig.name}) assumes: {', '.join(self.rig.assumed)}")
         if self.synthetic:
             notes.append("the pictures are SYNTHETIC")
         return notes
