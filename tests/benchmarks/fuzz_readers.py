@@ -1038,7 +1038,8 @@ NO_FILE = {
     *("path", "plot", "plane", "animate", "failed"),  # are written
     *("posterior", "assemblage", "dictionary", "interpolation", "kind", "lateral_modulus", "name", "sizes", "time",
       "title", "gravity", "form", "scheduler"),
-    *("images dem terrain", "images dem disparity", "images dem cloud", "images rocks sun", "spectra simulate soil"),
+    *("images dem terrain", "images dem disparity", "images dem cloud", "images merge cloud",
+      "images rocks sun", "spectra simulate soil"),
 }  # fmt: skip
 """Parameters with a text that names no file to read, and no metavar to say so; with the command where others of that
 name do."""

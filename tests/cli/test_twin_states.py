@@ -162,7 +162,7 @@ def test_telemetry_comes_from_stdin_too(run, sent: Path, monkeypatch: pytest.Mon
 
 
 def test_positions_from_elsewhere_take_the_place_of_those_in_the_telemetry(
-    run, plan: Path, sent: Path, tmp_path: Path
+    run, plan: Path, sent: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The same positions in a file of their own give the same states; at times between rows nearly so."""
     table = pd.read_csv(sent / "telemetry.csv", comment="#")
@@ -172,7 +172,8 @@ def test_positions_from_elsewhere_take_the_place_of_those_in_the_telemetry(
     bare.to_csv(tmp_path / "bare.csv", index=False)
     log = tmp_path / "log.csv"
     log.write_text("t,w_fl,w_fr,w_rl,w_rr,vo_x,vo_y,yaw\n0,1,1,1,1,0,0,0\n")
-    said = run("twin", "states", log, "--rover", "small-four").err[-1]
+    monkeypatch.chdir(tmp_path)
+    said = run("twin", "states", "log.csv", "--rover", "small-four").err[-1]
     assert "time_s (t?), x_m (vo_x?), y_m (vo_y?), yaw_deg (yaw?)" in said
     assert "vo_x -> x_m" in (known := run("info", log).out) and "w_rl -> rate_RL_rad_s" in known
     assert "columns are missing: x_m, y_m;" in run("twin", "states", tmp_path / "bare.csv", plan).err[-1]

@@ -178,6 +178,7 @@ class PyroxeneAbundances(Mapping[int, list[Abundance]]):
                 "fraction": shares.shares[:, k],
                 **dict(zip(keys, shares.ends[:, k].T, strict=True)),
                 "present": None,
+                "median": shares.shares[:, k],
             }
         return {"abundance": Where(shares.determined, one)}
 

@@ -65,8 +65,8 @@ OF_A_WHEEL = (("angle_{}_deg", "rate_{}_deg_s", "speed_{}_m_s"), ("steered_{}_de
 _PLACED, _OF_WHEEL = r"(?:(?:vo|vio|odom\w*|pos\w*|est|loc)_)?", r"_?(?P<wheel>[fmr][lr])(_\w+)?"
 _LIKELY = {
     r"t|t_?s|time|timestamp|stamp|secs?|seconds|utc": "time_s",
-    rf"{_PLACED}(x|east\w*)(_m)?": "x_m",
-    rf"{_PLACED}(y|north\w*)(_m)?": "y_m",
+    rf"{_PLACED}(x|east\w*)(_m|_pos\w*)?": "x_m",
+    rf"{_PLACED}(y|north\w*)(_m|_pos\w*)?": "y_m",
     rf"{_PLACED}(yaw|heading|hdg|psi)(_\w+)?": "yaw_deg",
     rf"(steer\w*?|delta){_OF_WHEEL}": "steered_{}_deg",
     rf"(w|omega){_OF_WHEEL}": "rate_{}_rad_s",
@@ -165,7 +165,7 @@ def check_telemetry_columns(file: str, names: list[str], rover: Rover, *, placed
 
 
 def _guess(needed: str, names: list[str]) -> str:
-    bare = UNIT.sub("", needed)
+    bare, names = UNIT.sub("", needed), [n for n in names if n not in (*NEEDED, *ERRORS) and not n.endswith("_sigma")]
     other = [name for name in names if UNIT.sub("", name) == bare] or difflib.get_close_matches(needed, names, 1, 0.75)
     other = other or [name for name in names if UNIT.sub("", likely_meaning(name) or name) == bare]
     return f" ({other[0]}?)" if other else ""

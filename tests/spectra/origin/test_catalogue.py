@@ -91,7 +91,7 @@ def test_a_table_with_all_columns_and_one_with_few() -> None:
         (HEADER + ",age_low_ma,age_high_ma\nA,5,40,3,100,10\n", "oldest age is 10; give 100 to 4560"),
         (HEADER + ",age_low_ma,age_high_ma\nA,5,40,3,100,9000\n", "4560"),
         (HEADER + ",olivine\nA,5,40,3,0.1\n", "olivine and olivine_sigma go together"),
-        (HEADER + ",olivine,olivine_sigma\nA,5,40,3,0.1,0.1\n", "olivine alone is no share"),
+        (HEADER + ",olivine,olivine_sigma\nA,5,40,3,0.1,0.1\n", "olivine alone has no share"),
         (
             HEADER + ",olivine,olivine_sigma,plagioclase,plagioclase_sigma\nA,5,40,3,20,5,60,5\n",
             "line 2: olivine is 20; give 0 to 1",

@@ -61,7 +61,7 @@ def test_correlated_modes() -> None:
         ),
         ({"olivine": (0, 0.1), "plagioclase": (0, 0.1)}, "sum of the modes is 0"),
         ({"olivine": (0.8, -0.1), "plagioclase": (0.1, 0.1)}, "error of olivine"),
-        ({"olivine": (0.8, 0.1)}, "olivine alone is no share"),
+        ({"olivine": (0.8, 0.1)}, "olivine alone has no share"),
         ({"ilmenite": (0.8, 0.1), "olivine": (0.1, 0.1)}, "'ilmenite' is no mineral"),
     ],
 )

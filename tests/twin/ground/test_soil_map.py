@@ -179,7 +179,7 @@ def test_files_that_are_no_map_say_why(changes: dict[str, object], says: str) ->
 def test_zones_of_other_first_laws_do_not_fit() -> None:
     laws = dict(default_prior())
     laws["cohesion_pa"] = dataclasses.replace(laws["cohesion_pa"], median=100.0)
-    with pytest.raises(ParameterError, match="other first laws"):
+    with pytest.raises(ParameterError, match="other first priors"):
         SoilMap(zones=(zone(0.0, 0.0, first_belief(laws)),))
     with pytest.raises(ParameterError, match="give finite x and y"):
         zone(np.nan, 0.0, FIRST)
