@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -31,6 +32,7 @@ Folders = Annotated[
         help="Two or more folders in the order of the drive, each with left.png, right.png and pose.toml.",
     ),
 ]
+HEADERS = ["station", "x [m]", "y [m]", "z [m]", "camera's heading [deg]", "from dead reckoning [m]", "tied"]
 EXAMPLES = (
     "lunarsci images locate lunarsci-demo station-2 --rig lunarsci-demo/rig.toml",
     "lunarsci images locate lunarsci-demo station-2 --rig lunarsci-demo/rig.toml \\\n  --drift 0.1 --csv",
@@ -55,9 +57,9 @@ def locate(output: Output, stations: Folders, request: LocateRequest) -> Report:
     return Report(result, result_tables(result), files=result.files())
 
 
-def result_tables(result: LocatedStations) -> list[TextTable]:
-    record = result.to_dict()
-    rows = [
+def pose_rows(record: Mapping[str, Any]) -> list[list[str]]:
+    """Where stations were, one a row under `HEADERS`."""
+    return [
         [
             row["station"],
             *(plus_minus(row[f"{a}_m"], row[f"{a}{a}_m2"] ** 0.5, digits=4) for a in "xyz"),
@@ -67,7 +69,10 @@ def result_tables(result: LocatedStations) -> list[TextTable]:
         ]
         for row in record["stations"]
     ]
-    headers = ["station", "x [m]", "y [m]", "z [m]", "camera's heading [deg]", "from dead reckoning [m]", "tied"]
+
+
+def result_tables(result: LocatedStations) -> list[TextTable]:
+    record = result.to_dict()
     pairs = [
         [
             f"{pair['first']}, {pair['second']}",
@@ -80,4 +85,7 @@ def result_tables(result: LocatedStations) -> list[TextTable]:
         for pair in record["pairs"]
     ]
     ties = TextTable(["stations", "overlap", "of one motion", "ties", "correlation", "failed"], pairs, title="Pairs")
-    return [TextTable(headers, rows, title=record["positions_of"].capitalize(), notes=record["notes"]), ties]
+    return [
+        TextTable(HEADERS, pose_rows(record), title=record["positions_of"].capitalize(), notes=record["notes"]),
+        ties,
+    ]

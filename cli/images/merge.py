@@ -14,6 +14,7 @@ from ..shared.command import command
 from ..shared.emit import Report
 from ..shared.options import Output, option
 from ..shared.table import TextTable, plus_minus
+from .locate import HEADERS, pose_rows
 
 if TYPE_CHECKING:
     from lunarsci.images.jobs.merge import MergedStations
@@ -83,7 +84,7 @@ def result_tables(result: MergedStations) -> list[TextTable]:
     record = result.to_dict()
     terrain = record["terrain"]
     title = f"{terrain['nodes'][0]} x {terrain['nodes'][1]} nodes every {terrain['spacing_m']:g} m"
-    headers, rows = _pairs(record) if "poses" in record else _models(record)
+    headers, rows = (HEADERS, pose_rows(record)) if "poses" in record else _models(record)
     pairs = [
         [
             f"{pair['first']}, {pair['second']}",
@@ -109,18 +110,3 @@ def _models(record: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
         for row in record["stations"]
     ]
     return ["station", "file", "offset [common sigmas]", "x off [mm]", "y off [mm]"], rows
-
-
-def _pairs(record: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
-    rows = [
-        [
-            row["station"],
-            *(plus_minus(row[f"{a}_m"], row[f"{a}{a}_m2"] ** 0.5, digits=4) for a in "xyz"),
-            plus_minus(row["camera_heading_deg"], row["camera_heading_deg_sigma"], digits=2),
-            f"{row['from_dead_reckoning_m']:.3f}",
-            "yes" if row["tied"] else "no",
-        ]
-        for row in record["stations"]
-    ]
-    headers = ["x [m]", "y [m]", "z [m]", "heading [deg]", "from telemetry [m]", "tied"]
-    return ["pair", *headers], rows

@@ -262,10 +262,13 @@ def _telemetry(rover: str) -> str:
 
 
 def _states(rover: str) -> str:
-    """What the closed form says of a rover's wheel under a sixth of Yutu-2's weight, over slip."""
+    """What the closed form says of a rover's wheel under its share of the weight, over slip."""
     from lunarsci.regolith.jobs.wheel_forces import wheel_forces
     from lunarsci.regolith.states import COLUMNS
+    from lunarsci.twin.rover import build_rover
 
+    drives = build_rover(rover)
+    load = drives.mass_kg * drives.gravity_m_s2 / len(drives.wheels)
     texts = {
         "sinkage_m": "depth of the wheel's lowest point below the undisturbed ground. [m]; down is positive",
         "slip_ratio": "1 - v / (r_s ω) where the wheel drives, r_s ω / v - 1 where it skids. [-1 to 1], not %",
@@ -282,7 +285,7 @@ def _states(rover: str) -> str:
         "# rover: name in its file and size of its wheels; leave it out, and name your rover or wheel with --rover.",
         ",".join([*COLUMNS, "sinkage_m_sigma", "synthetic", "rover"]),
     ]
-    for row in wheel_forces(rover=rover, load=36.5, slip="0:0.5:6", side_slip=2.0).rows():
+    for row in wheel_forces(rover=rover, load=float(f"{load:.3g}"), slip="0:0.5:6", side_slip=2.0).rows():
         lines.append(",".join([*(f"{row[name]:.5g}" for name in COLUMNS), "0.0005", "true", row["rover"]]))
     return "\n".join([*lines, ""])
 

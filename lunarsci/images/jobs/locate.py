@@ -14,7 +14,7 @@ from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.images.adjustment import crossed
 from lunarsci.images.camera import Pose, StereoRig
 from lunarsci.images.jobs.dem import nearest_ground_m
-from lunarsci.images.jobs.requests import LocateRequest, MergeRequest
+from lunarsci.images.jobs.requests import LocateRequest
 from lunarsci.images.localisation import ODD_SIGMAS, Localised, Station, localise
 from lunarsci.images.matching import match
 from lunarsci.images.pictures import Picture, read_picture
@@ -205,9 +205,29 @@ def locate(
     request = request_of(LocateRequest, request, options)
     rig, count = read_rig(request.rig), len(stations)
     report = progress or (lambda done, total: None)
-    read = read_stations(stations, request, lambda _: rig, progress=lambda done: report(done, 2 * count))
+    errors = DeadReckoning(request.drift, request.heading_error, request.tilt_error, mast_m=request.mast_m())
+    read = read_stations(stations, errors, lambda _: rig, progress=lambda done: report(done, 2 * count))
     result = localise(read.stations, progress=lambda done, total: report(count + done, 2 * count))
     return LocatedStations(localised=result, rig=rig, inputs=read.inputs, synthetic=read.synthetic)
+
+
+class DeadReckoning(NamedTuple):
+    """How far telemetry is off, and what else there is to know of rover and mast.
+
+    Attributes
+    ----------
+    drift : share of the way between stations. [-]
+    heading_deg, tilt_deg : of the rover at each station. [deg]
+    mast_deg : of the mast from pair to pair of one station. Without it each folder is a station of its own, and the
+        first one's pose is exact. [deg]
+    mast_m : middle between both cameras in the rover's frame; None where positions are the cameras'. (3,) [m]
+    """
+
+    drift: float
+    heading_deg: float
+    tilt_deg: float
+    mast_deg: float | None = None
+    mast_m: tuple[float, ...] | None = None
 
 
 class StationsRead(NamedTuple):
@@ -220,7 +240,7 @@ class StationsRead(NamedTuple):
 
 def read_stations(
     stations: Sequence[str | Path],
-    request: LocateRequest | MergeRequest,
+    errors: DeadReckoning,
     rig_of: Callable[[Path], StereoRig],
     *,
     progress: Callable[[int], None],
@@ -235,11 +255,11 @@ def read_stations(
     inputs: dict[str, str] = {}
     names = _names(whole)
     rigs = [rig_of(Path(folder)) for folder in stations]
-    read = [_read(Path(folder), rig, request, inputs) for folder, rig in zip(stations, rigs, strict=True)]
+    read = [_read(Path(folder), rig, errors.mast_m, inputs) for folder, rig in zip(stations, rigs, strict=True)]
     matched: list[Station] = []
     for number, (name, content, rig) in enumerate(zip(names, read, rigs, strict=True)):
         progress(number)
-        matched.append(_station(name, content, rig, request, matched))
+        matched.append(_station(name, content, rig, errors, matched))
     made_up = any(content.synthetic or "SYNTHETIC" in rig.name for content, rig in zip(read, rigs, strict=True))
     return StationsRead(matched, inputs, made_up)
 
@@ -275,7 +295,7 @@ class _Read(NamedTuple):
     stand: str
 
 
-def _read(folder: Path, rig: StereoRig, request: LocateRequest | MergeRequest, inputs: dict[str, str]) -> _Read:
+def _read(folder: Path, rig: StereoRig, mast: tuple[float, ...] | None, inputs: dict[str, str]) -> _Read:
     """A station's folder; `inputs` takes its files. Raises DataError for what belongs to no station of this rig."""
     pose_file = read_input(folder / "pose.toml")
     files = [read_input(_picture(folder, side)) for side in SIDES]
@@ -290,7 +310,6 @@ def _read(folder: Path, rig: StereoRig, request: LocateRequest | MergeRequest, i
         check_rig_of(rig, *picture.size, picture.source.name)
         picture.check()
     time_s, attitude, stand = _more_of_pose(pose_file)
-    mast = request.mast_m() if isinstance(request, LocateRequest) else None
     if mast is not None and attitude is None:
         raise DataError(f"{pose_file.name}: `mast` needs how the rover stood there; add {', '.join(ATTITUDE)}")
     rover = None if mast is None or attitude is None else _rover(rig, pose, attitude, mast)
@@ -298,9 +317,7 @@ def _read(folder: Path, rig: StereoRig, request: LocateRequest | MergeRequest, i
     return _Read(pictures[0], pictures[1], pose, time_s, rover, synthetic, stand)
 
 
-def _station(
-    name: str, content: _Read, rig: StereoRig, request: LocateRequest | MergeRequest, before: Sequence[Station]
-) -> Station:
+def _station(name: str, content: _Read, rig: StereoRig, errors: DeadReckoning, before: Sequence[Station]) -> Station:
     """A station with its pair matched, after those `before`. Raises DataError where it does not match."""
     nearest = nearest_ground_m(rig, content.pose, rig.height_m)
     one = Station(
@@ -308,21 +325,16 @@ def _station(
         matches=match(content.left, content.right, rig, nearest_m=nearest),
         rig=rig,
         pose=content.pose,
-        covariance=np.zeros((6, 6)),
+        covariance=_covariance(content.pose, before, errors, rig.height_m),
         time_s=content.time_s,
         rover=content.rover,
     )
-    if isinstance(request, LocateRequest):
-        return replace(one, covariance=_covariance(content.pose, before, request, rig.height_m))
-    mast = math.radians(request.mast_error) * np.array([1.0, 1.0, 1.0, *[rig.baseline_m] * 3])
+    if errors.mast_deg is None:
+        return one
+    mast = math.radians(errors.mast_deg) * np.array([1.0, 1.0, 1.0, *[rig.baseline_m] * 3])
     stand = content.stand or name
-    same = next((station.covariance for station in before if station.stand == stand), None)
-    return replace(
-        one,
-        covariance=_covariance(content.pose, before, request, rig.height_m) if same is None else same,
-        stand=stand,
-        mast=np.diag(mast**2),
-    )
+    same = next((station.covariance for station in before if station.stand == stand), one.covariance)
+    return replace(one, covariance=same, stand=stand, mast=np.diag(mast**2))
 
 
 def _more_of_pose(file: InputFile) -> tuple[float | None, tuple[float, ...] | None, str]:
@@ -353,19 +365,17 @@ def _picture(folder: Path, side: str) -> Path:
     raise DataError(f"{folder}: no {side}.png; a station is a folder with left.png, right.png and pose.toml")
 
 
-def _covariance(
-    pose: Pose, before: Sequence[Station], request: LocateRequest | MergeRequest, height_m: float
-) -> FloatArray:
+def _covariance(pose: Pose, before: Sequence[Station], errors: DeadReckoning, height_m: float) -> FloatArray:
     """Of dead reckoning: of direction, and of the step from the station before. (6, 6)
 
     A camera at `height_m` over the wheels is moved by their way, and by what the rover leans at both stations. Of the
-    first station place and heading are the map's, and its level is exact unless maps are made.
+    first station place and heading are the map's.
     """
-    tilt, turn = math.radians(request.tilt_error), math.radians(request.heading_error)
+    tilt, turn = math.radians(errors.tilt_deg), math.radians(errors.heading_deg)
     if not before:
-        level = np.diag([tilt, tilt, 0.0]) * isinstance(request, MergeRequest)
+        level = np.diag([tilt, tilt, 0.0]) * (errors.mast_deg is not None)
         leant = np.concatenate([level, crossed(np.array([[0.0, 0.0, -height_m]]))[0] @ level])
         return np.asarray(leant @ leant.T)
     way = float(np.linalg.norm(pose.center_m - before[-1].pose.center_m))
-    step = math.hypot(request.drift * way, math.sqrt(2) * tilt * height_m)
+    step = math.hypot(errors.drift * way, math.sqrt(2) * tilt * height_m)
     return np.diag(np.square([tilt, tilt, turn, step, step, step]))

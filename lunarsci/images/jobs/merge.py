@@ -21,7 +21,7 @@ from lunarsci.images.elevation import (
 from lunarsci.images.elevation import merge as merged_map
 from lunarsci.images.gridding import Cloud, cloud_ply
 from lunarsci.images.jobs.dem import farthest_ground_m
-from lunarsci.images.jobs.locate import LocatedStations, read_stations
+from lunarsci.images.jobs.locate import DeadReckoning, LocatedStations, read_stations
 from lunarsci.images.jobs.requests import DemRequest, MergeRequest
 from lunarsci.images.localisation import localise
 from lunarsci.images.mosaic import Mosaic, Seam, mosaic
@@ -116,10 +116,12 @@ class MergedStations(Result):
             return ["the terrain is synthetic"] * self.merged.model.synthetic
         localised = self.mosaic.localised
         alone = [s.name for s, tied in zip(localised.stations, localised.tied, strict=True) if not tied]
-        notes = [f"not tied to {localised.stations[0].name}, and where telemetry puts them: {', '.join(alone)}"]
-        notes = notes if alone else []
-        notes.append("place and heading of the map are those of the first pose.toml; common errors are of the others")
-        return notes + (["the pictures are SYNTHETIC"] if self.merged.model.synthetic else [])
+        untied = f"not tied to {localised.stations[0].name}, and where telemetry puts them: {', '.join(alone)}"
+        return [
+            *[untied] * bool(alone),
+            "place and heading of the map are those of the first pose.toml; common errors are of the others",
+            *["the pictures are SYNTHETIC"] * self.merged.model.synthetic,
+        ]
 
     def cloud_bytes(self) -> bytes:
         """The points of all pairs as PLY, where the map has them. Raises RequestError for models."""
@@ -214,7 +216,8 @@ def _of_pairs(
             inputs[name] = read_input(name).sha256
         return rigs.setdefault(inputs.get(name, name), read_rig(name))
 
-    read = read_stations(names, request, rig_of, progress=lambda done: report(done, 3 * count))
+    errors = DeadReckoning(request.drift, request.heading_error, request.tilt_error, request.mast_error)
+    read = read_stations(names, errors, rig_of, progress=lambda done: report(done, 3 * count))
     localised = localise(read.stations, progress=lambda done, total: report(count + done, 3 * count))
     spacing = request.spacing or DemRequest().spacing
     farthest = [request.farthest or farthest_ground_m(station.rig, spacing) for station in read.stations]

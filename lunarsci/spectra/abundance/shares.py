@@ -445,7 +445,7 @@ def abundances(
     """Shares of the minerals that there may be, by volume, with intervals and a verdict.
 
     `free` is the answer of networks to all minerals, where fewer are allowed: it counts as much for the domain. Of 51
-    answers to the right minerals on RELAB (powders, pairs and triples) 55 % are in domain then, 93 % of them good (88
+    answers to the right minerals on RELAB (powders, pairs and triples) 53 % are in domain then, 93 % of them good (88
     and 82 % without it), of 870 without a mineral of 10 % or more 4 % (83 %): `tests/benchmarks/named_minerals.py`.
     """
     rock = solid_rock(kinds)
