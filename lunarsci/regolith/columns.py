@@ -164,8 +164,9 @@ def of_name(name: str) -> ColumnMeaning | None:
         for count in (1, 2, 0):
             stem, unit = words[: len(words) - count], "".join(words[len(words) - count :])
             # A name may have its symbol behind it: 'Normal load W [N]'.
-            parts = [("_".join(stem[:k]), "_".join(stem[k:])) for k in range(1, len(stem) + 1)]
-            named = any(name in quantity.names and symbol in ("", *quantity.names) for name, symbol in parts)
+            plain = "_".join(stem)
+            rest = [plain[len(name) :] for name in quantity.names if plain.startswith(name)]
+            named = any(not end or (end[0] == "_" and end[1:] in quantity.names) for end in rest)
             if named and (unit in quantity.units or not count):
                 return ColumnMeaning(quantity.column, unit, sigma)
     return None
