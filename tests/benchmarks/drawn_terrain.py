@@ -1,5 +1,7 @@
 """Do drives over drawn terrains hold the true one? `python tests/benchmarks/drawn_terrain.py [--cases N] [--members N]`
 
+With `--sun DEG` stones lie on the ground, and the model has no height in their shadows and where they hide the ground.
+
 A true ground is made up here (fractal, with craters), and an elevation model of it as stereo cameras at one place would
 make it: random errors that grow with the square of the range and hang together over a window, and an error of the rig,
 a bias of the disparity, which all heights share. The true drive is on the true ground, the prediction knows the model
@@ -14,7 +16,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.ndimage import uniform_filter
+from scipy.ndimage import map_coordinates, uniform_filter
 
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.terrain import Terrain, TerrainFile, build_terrain
@@ -54,13 +56,39 @@ def true_heights(random: np.random.Generator, shape: tuple[int, int]) -> np.ndar
     return heights
 
 
-def case(seed: int) -> Case:
-    """A ground and its model."""
+def stones(random: np.random.Generator, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Half ellipsoids of 4 to 24 cm, one on two square metres, as high as a third of their width. [m]"""
+    heights = np.zeros(np.broadcast_shapes(x.shape, y.shape))
+    for _ in range(round(0.5 * SIDE_M[0] * SIDE_M[1])):
+        radius = 0.02 * random.pareto(2.0) + 0.02
+        away = np.hypot(x - random.choice(x), y - random.choice(y.ravel())) / min(radius, 0.12)
+        heights = np.maximum(heights, 0.66 * min(radius, 0.12) * np.sqrt(np.maximum(1.0 - away**2, 0.0)))
+    return heights
+
+
+def hidden(heights: np.ndarray, x: np.ndarray, y: np.ndarray, azimuth: float, elevation: float) -> np.ndarray:
+    """Nodes in shadow, and those that the camera does not see for what stands before them."""
+    sun = np.cos(azimuth) + 0.0 * x * y, np.sin(azimuth) + 0.0 * x * y, math.tan(elevation) + 0.0 * x * y
+    away = np.hypot(CAMERA_M[0] - x, CAMERA_M[1] - y)
+    eye = (CAMERA_M[0] - x) / away, (CAMERA_M[1] - y) / away, (CAMERA_M[2] - heights) / away
+    row, column = np.indices(heights.shape, dtype=float)
+    dark = np.zeros(heights.shape, dtype=bool)
+    for along_x, along_y, rise in (sun, eye):
+        for step in range(1, 60):
+            met = map_coordinates(heights, [row + step * along_y, column + step * along_x], order=1, mode="nearest")
+            dark |= met > heights + step * SPACING_M * rise + 0.002
+    return dark
+
+
+def case(seed: int, sun_deg: float | None = None) -> Case:
+    """A ground and its model; with the Sun so high there are stones, and holes for what is dark or hidden."""
     random = np.random.default_rng([seed, 7])
     shape = tuple(round(side / SPACING_M) + 1 for side in SIDE_M[::-1])
     origin = -1.2, -0.5 * SIDE_M[1]
     truth = true_heights(random, shape)
     x, y = origin[0] + SPACING_M * np.arange(shape[1]), origin[1] + SPACING_M * np.arange(shape[0])[:, None]
+    if sun_deg is not None:
+        truth = truth + stones(random, x, y)
     level = np.hypot(x - CAMERA_M[0], y - CAMERA_M[1])
     reach = np.hypot(level, CAMERA_M[2])
     by_px = CAMERA_M[2] * reach / (FOCAL_PX * BASELINE_M)
@@ -70,6 +98,8 @@ def case(seed: int) -> Case:
     noise /= noise.std()
     sigma = RANDOM_PX * by_px
     heights = truth + sigma * noise + BIAS_PX * by_px * random.standard_normal()
+    if sun_deg is not None:
+        heights[hidden(truth, x, y, random.uniform(0, 2 * math.pi), math.radians(sun_deg))] = np.nan
     soil = read_soil("longji")
     errors = {"height_m_sigma": sigma, "height_m_common_sigma": BIAS_PX * by_px, "resolution_m": window}
     grounds = [build_terrain(name, *origin, SPACING_M, h, soil) for name, h in (("truth", truth), ("model", heights))]
@@ -91,9 +121,9 @@ def quantities(drive: Prediction) -> dict[str, np.ndarray]:
     return found
 
 
-def ranks(seed: int, members: int) -> dict[str, Any]:
+def ranks(seed: int, members: int, sun_deg: float | None = None) -> dict[str, Any]:
     """Where the true drive lies among the predicted ones, by quantity, 0 to 1; and the model taken as exact."""
-    one, rover, plan = case(seed), build_rover("yutu2"), plan_of(seed)
+    one, rover, plan = case(seed, sun_deg), build_rover("yutu2"), plan_of(seed)
     felt = round(rover.wheel.width_m / SPACING_M)
     truth = dataclasses.replace(one.truth, height_m=uniform_filter(one.truth.height_m, felt, mode="nearest"))
     soils = {"friction_angle_deg": np.full(members, 37.2)}
@@ -106,6 +136,8 @@ def ranks(seed: int, members: int) -> dict[str, Any]:
     true, clouds, read = (quantities(drives[name]) for name in ("truth", "drawn", "as read"))
     done = drives["drawn"].finished
     found: dict[str, Any] = {"finished": float(done.mean()), "read": drives["as read"].outcome_text(0)}
+    if not done.any():
+        return found
     for name, values in clouds.items():
         cloud = values[done]
         found[name] = {
@@ -128,8 +160,11 @@ def main() -> None:
     parser.add_argument("--cases", type=int, default=40)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--members", type=int, default=64)
+    parser.add_argument("--sun", type=float, help="its height: stones, with shadows [deg]")
     given = parser.parse_args()
-    found = [ranks(seed, given.members) for seed in range(given.first, given.first + given.cases)]
+    every = [ranks(seed, given.members, given.sun) for seed in range(given.first, given.first + given.cases)]
+    found = [one for one in every if len(one) > 2]
+    print(f"as read: {sum(one['read'] != 'finished' for one in every)} do not finish; drawn: {len(every) - len(found)}")
     names = [name for name in found[0] if isinstance(found[0][name], dict)]
     print(f"{len(found)} cases of {given.members} members; finished {np.mean([one['finished'] for one in found]):.3f}")
     print(f"{'quantity':24s} in 68 %  in 95 %    rms off   rms sd   rms off as read")

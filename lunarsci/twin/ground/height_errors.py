@@ -13,7 +13,7 @@ nodes share are a height and two tilts of the size that the model states.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -36,9 +36,9 @@ LONGEST_LAG_M = 1.0
 """Over which differences of heights are looked at; longer ones are craters. Assumed. [m]"""
 SAMPLED = 200_000
 """Pairs of nodes that are looked at for each distance."""
-FILLED_M = 0.06
-"""Nodes whose height is unknown are filled as far as this from known ones: what hides in a gap of 12 cm is lower than
-what wheels climb; assumed. [m]"""
+FILLED_M = 0.5 * LONGEST_LAG_M
+"""Nodes without a height get one as far as this from those that have: over a gap of twice that the relief is known.
+[m]"""
 ALIKE_M = 0.1
 """Width over which sizes of errors are averaged, so that the ground does not change its kind from node to node;
 assumed. [m]"""
@@ -56,7 +56,9 @@ class HeightErrors:
     ----------
     common : errors that nodes share, by independent modes of one standard deviation each. (ny, nx, modes) [m]
     level : which grain a node has; 2.3 is 0.7 of grain 2 and 0.3 of grain 3. (ny, nx)
-    grain : fields without a place, from the smallest error to the largest. (512, 512, grains) [m]
+    grain : fields without a place, from the smallest error to the largest; then those of filled gaps, from the smallest
+        error to the largest. (512, 512, grains) [m]
+    filled : nodes in gaps of the model, whose height is that of the ground about them. (ny, nx)
 
     A drawn ground is the terrain's heights, the modes times standard normal numbers, and grain from an offset.
     """
@@ -64,6 +66,7 @@ class HeightErrors:
     common: npt.NDArray[np.float32]
     level: npt.NDArray[np.float32]
     grain: npt.NDArray[np.float32]
+    filled: BoolArray = field(default_factory=lambda: np.zeros((1, 1), dtype=bool))
 
     def draws(self, members: int, seed: int) -> FloatArray:
         """What the ground of each member is drawn by: numbers of the modes, and two offsets. (members, modes + 2)"""
@@ -111,8 +114,8 @@ def likely_ground(
     footprint_m : width over which the ground is averaged, that of a wheel; 0 for heights of points. [m]
     seed : of the grain.
 
-    Errors that are unknown at a node are those of the next one where they are known. Nodes that are unknown within 6 cm
-    of known ones get the height of these, and for an error what the ground may differ by so far; others stay holes.
+    Errors that are unknown at a node are those of the next one where they are known. Nodes without a height get one as
+    far as 0.5 m from those that have (`_filled`); others stay holes.
     Raises ParameterError where nothing is known of the random errors, all are 0, or hardly any heights are known.
     """
     from scipy.ndimage import gaussian_filter
@@ -122,33 +125,107 @@ def likely_ground(
         raise ParameterError("the model states no random error above 0 m")
     sigma, window = (_everywhere(values, finite & (random_m > 0)) for values in (random_m, window_m))
     relief = relief_of(height_m, spacing_m, sigma, window)
-    away = _away(finite) * spacing_m
-    sigma = np.hypot(sigma, math.sqrt(relief.at_one_m) * np.minimum(away, FILLED_M) ** relief.hurst)
+    filled, gap_sigma = _filled(height_m, spacing_m, sigma, relief)
     sigma = np.exp(gaussian_filter(np.log(sigma), ALIKE_M / spacing_m))
     sizes = _sizes(sigma[finite])
     nearest = np.abs(np.log(sigma[finite])[:, None] - np.log(sizes)).argmin(axis=1)
     widths = [
         float(np.median(window[finite][nearest == k])) if (nearest == k).any() else 0.0 for k in range(len(sizes))
     ]
-    level = np.interp(np.log(sigma), np.log(sizes), np.arange(len(sizes)))
-    level = np.minimum(level, len(sizes) - 1 - 1e-4)
-    filled = np.pad(_everywhere(height_m, finite), MARGIN, mode="reflect", reflect_type="odd")
-    middle = float(filled.mean())
-    mean, grain = np.zeros(height_m.shape), np.empty((GRAIN_NODES, GRAIN_NODES, len(sizes)), dtype=np.float32)
+    level, in_gap = _level(sigma, sizes), np.isfinite(gap_sigma)
+    padded = np.pad(_everywhere(filled, np.isfinite(filled)), MARGIN, mode="reflect", reflect_type="odd")
+    middle = float(padded.mean())
+    waves = mean_over(footprint_m, spacing_m, padded.shape) * np.fft.fft2(padded - middle)
+    mean, grain = np.zeros(height_m.shape), []
     white = np.fft.fft2(np.random.default_rng([seed, 29]).standard_normal((GRAIN_NODES, GRAIN_NODES)))
+    under_wheel = mean_over(footprint_m, spacing_m, white.shape)
     for k, (size, width) in enumerate(zip(sizes, widths, strict=True)):
         share = np.clip(1.0 - np.abs(level - k), 0.0, None)
-        ground, error = _spectra(filled.shape, spacing_m, relief, size, width)
-        passed = ground / (ground + error) * mean_over(footprint_m, spacing_m, filled.shape)
-        smooth = np.fft.ifft2(passed * np.fft.fft2(filled - middle)).real + middle
-        mean += share * smooth[MARGIN:-MARGIN, MARGIN:-MARGIN]
+        ground, error = _spectra(padded.shape, spacing_m, relief, size, width)
+        mean += share * _of_waves(ground / (ground + error) * waves)
         ground, error = _spectra(white.shape, spacing_m, relief, size, width)
-        left = np.sqrt(ground * error / (ground + error)) * mean_over(footprint_m, spacing_m, white.shape)
-        grain[..., k] = np.fft.ifft2(left * white).real
+        grain.append(np.fft.ifft2(np.sqrt(ground * error / (ground + error)) * under_wheel * white).real)
+    if in_gap.any():
+        gap = _Gaps.of(
+            gap_sigma, np.interp(level, range(len(sizes)), [one.std() for one in grain]), footprint_m / spacing_m
+        )
+        mean = np.where(gap.touched, _of_waves(waves), mean)
+        level = np.where(gap.touched, len(sizes) + gap.level, level)
+        shape = np.hypot(_waves(white.shape, spacing_m), 0.5 / FILLED_M) ** (-relief.hurst - 1.0) * under_wheel
+        plain = np.fft.ifft2(shape * white).real
+        grain += [size / plain.std() * plain for size in gap.sizes]
     common = _common_modes(_everywhere(np.nan_to_num(common_m), finite), finite)
-    return np.where(away <= FILLED_M, mean, np.nan), HeightErrors(
-        common=common, level=level.astype(np.float32), grain=grain
+    errors = HeightErrors(
+        common=common,
+        level=level.astype(np.float32),
+        grain=np.stack(grain, axis=-1, dtype=np.float32),
+        filled=in_gap,
     )
+    return np.where(finite | in_gap, mean + middle, np.nan), errors
+
+
+class _Gaps(NamedTuple):
+    """Which nodes a mean over the footprint mixes with a gap, between which errors they are, and what these are. [m]"""
+
+    touched: BoolArray
+    level: FloatArray
+    sizes: FloatArray
+
+    @classmethod
+    def of(cls, gap_sigma: FloatArray, left_open: FloatArray, nodes: float) -> "_Gaps":
+        """Of the errors in gaps, NaN elsewhere, and of what is left open of ground that was seen. [m]"""
+        from scipy.ndimage import maximum_filter, uniform_filter
+
+        in_gap, width = np.isfinite(gap_sigma), max(1, round(nodes))
+        touched = maximum_filter(in_gap, width)
+        mixed = uniform_filter(np.where(in_gap, gap_sigma, left_open), width)
+        sizes = _sizes(mixed[touched])
+        return cls(touched, _level(mixed, sizes), sizes)
+
+
+def _filled(height: FloatArray, spacing: float, sigma: FloatArray, relief: Relief) -> tuple[FloatArray, FloatArray]:
+    """Heights with narrow gaps filled, and the errors of what was filled, NaN elsewhere. [m]
+
+    A height in a gap is the mean of those up to twice as far as the nearest one, by the inverse squares of their
+    distances (Shepard 1968, 10.1145/800186.810616). Its variance is that of the same heights, plus the relief over the
+    distance of the nearest one and the random error: a gap behind a rock is as uncertain as the rock is high.
+    """
+    from scipy.signal import oaconvolve
+
+    finite = np.isfinite(height)
+    away = _away(finite) * spacing
+    middle = float(height[finite].mean())
+    values = np.where(finite, height - middle, 0.0)
+    filled, error = height.copy(), np.full(height.shape, np.nan)
+    nearer, scales = 0.0, spacing * RATIO ** np.arange(math.ceil(math.log(FILLED_M / spacing, RATIO)) + 1)
+    for scale in np.minimum(scales, FILLED_M):
+        gap = (away > nearer) & (away <= scale)
+        nearer = scale
+        if not gap.any():
+            continue
+        reach = math.ceil(2.0 * scale / spacing) + 1
+        y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+        squared = np.maximum(x * x + y * y, 1.0)
+        kernel = np.where(squared <= reach**2, 1.0 / squared, 0.0)
+        weight, first, second = (
+            oaconvolve(layer, kernel, mode="same")[gap] for layer in (finite.astype(float), values, values**2)
+        )
+        mean = first / weight
+        filled[gap] = mean + middle
+        spread = np.maximum(second / weight - mean**2, 0.0)
+        error[gap] = np.sqrt(spread + relief.at_one_m * away[gap] ** (2.0 * relief.hurst) + sigma[gap] ** 2)
+    return filled, error
+
+
+def _level(sigma: FloatArray, sizes: FloatArray) -> FloatArray:
+    """Between which of the sizes errors are, 0 for the first."""
+    level = np.interp(np.log(sigma), np.log(sizes), np.arange(len(sizes)))
+    return np.asarray(np.minimum(level, len(sizes) - 1 - 1e-4))
+
+
+def _of_waves(waves: npt.NDArray[np.complex128]) -> FloatArray:
+    """What has these waves, without its margin."""
+    return np.asarray(np.fft.ifft2(waves).real[MARGIN:-MARGIN, MARGIN:-MARGIN])
 
 
 def relief_of(height_m: FloatArray, spacing_m: float, sigma_m: FloatArray, window_m: FloatArray) -> Relief:

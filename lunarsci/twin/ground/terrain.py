@@ -171,6 +171,15 @@ class Terrain:
         ny, nx = self.height_m.shape
         return np.asarray((row >= 0) & (row < ny) & (column >= 0) & (column < nx))
 
+    def filled_share(self, points_m: FloatArray, away_m: float) -> float:
+        """Share of the nodes in squares of this half side about points (n, 2) [m] that were not seen but filled."""
+        if self.errors is None or not self.errors.filled.any():
+            return 0.0
+        about = np.mgrid[-away_m : away_m : self.spacing_m, -away_m : away_m : self.spacing_m].reshape(2, 1, -1)
+        row, column = self.nodes(np.moveaxis(points_m.T[..., None] + about, 0, -1))
+        inside = self.has(row, column)
+        return float(self.errors.filled[row[inside], column[inside]].mean()) if inside.any() else 0.0
+
     def summary(self) -> dict[str, Any]:
         """Name, extent, nodes, lowest and highest node and share of holes, for a result."""
         height = self.height_m

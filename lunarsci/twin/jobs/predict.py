@@ -216,8 +216,20 @@ def predict(
     soils.warn_of_seed(asked.seed)
     prediction = predict_drives(soils, asked.time_step, asked.sample, progress)
     result = _judged(soils, prediction, asked, unresolved)
-    notes = (*result.verdict.notes, *_missed(inputs, asked.keep_out))
+    notes = (*result.verdict.notes, *_unseen(inputs), *_missed(inputs, asked.keep_out))
     return _asked_about(replace(result, verdict=replace(result.verdict, notes=notes)), questions)
+
+
+def _unseen(inputs: DriveInputs) -> Iterator[str]:
+    """How much of the ground below the planned way no picture shows."""
+    share = inputs.terrain.filled_share(
+        planned_places(inputs.plan, inputs.rover), rover_footprint(inputs.rover).half_width_m
+    )
+    if share > 0:
+        yield (
+            f"{100 * share:.2g} % of the ground along the way was not seen: there the heights are those about the gap, "
+            "and their error is the spread of these"
+        )
 
 
 def _missed(inputs: DriveInputs, files: Sequence[str]) -> Iterator[str]:
