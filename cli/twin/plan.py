@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 PATH, CHOICE = "Path", "Drives compared by their risk"
 OPTIONS = {
     "target": option(panel=PATH, metavar="X,Y[,HEADING]", kind=str, show_default=False),
-    "start": option(panel=PATH, metavar="X,Y,HEADING|DRIVE", kind=str),
+    "start": option(panel=PATH, metavar="X,Y[,HEADING]|DRIVE", kind=str),
     "lonlat": option(panel=PATH),
     "local": option(panel=PATH, metavar="FILE"),
     "speed": option(panel=PATH),

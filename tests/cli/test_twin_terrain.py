@@ -116,7 +116,7 @@ def test_synthetic_ground_has_its_options(run) -> None:
         ["--target", "1"],
         ["--target", "a,b"],
         ["--target", "1,2,3,4"],
-        ["--start", "0,0", "--target", "1,1"],
+        ["--start", "0", "--target", "1,1"],
         ["--target", "9,2", "--turning-radius", "0.49"],
         ["--target", "9,2", "--turning-radius", "0"],
         ["--target", "9,2", "--turning-radius", "nan"],
@@ -166,6 +166,7 @@ def test_a_plan_starts_where_the_last_drive_ended(run, tmp_path: Path) -> None:
         assert found["result"]["path"]["length_m"] == pytest.approx(2.5125, abs=0.1)
         assert str(motion) in [one["path"] for one in found["provenance"]["inputs"]]
     assert places_of(PlanRequest(target="3,0", start=str(folder)))[0] == (0.5, 0.25, pytest.approx(10.0))
+    assert places_of(PlanRequest(target="4,4", start="1,1"))[0] == (1.0, 1.0, pytest.approx(45.0))
     motion.unlink()
     empty = run("twin", "plan", "--target", "3,0", "--start", folder)
     assert empty.code == 2 and "no motion.csv or paths.csv in it" in empty.err[0]

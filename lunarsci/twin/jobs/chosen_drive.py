@@ -50,9 +50,16 @@ def final_heading_deg(request: PlanRequest) -> float | None:
 
 
 def places_of(request: PlanRequest) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Start and target as numbers. [m, m, deg]"""
-    start = last_pose(request.start_files[0]) if request.start_files else _numbers("start", request.start, (3,))
-    return start, _numbers("target", request.target, (2, 3))
+    """Start, with a heading, and target, as numbers: a start without one looks at the target. [m, m, deg]"""
+    start, target = _places_of(request)
+    if len(start) == 2:
+        start = (*start, math.degrees(math.atan2(target[1] - start[1], target[0] - start[0])))
+    return start, target
+
+
+def _places_of(request: PlanRequest) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    start = last_pose(request.start_files[0]) if request.start_files else _numbers("start", request.start)
+    return start, _numbers("target", request.target)
 
 
 def on_terrain(request: PlanRequest, terrain: Terrain) -> PlanRequest:
@@ -61,7 +68,7 @@ def on_terrain(request: PlanRequest, terrain: Terrain) -> PlanRequest:
         return request
 
     projection, moved = projection_of(terrain.crs, terrain.name), []
-    for longitude, latitude, *heading in places_of(request):
+    for longitude, latitude, *heading in _places_of(request):
         moved.append((*projection.metres(longitude, latitude)[0].tolist(), *heading))
     return replace(request, start=moved[0], target=moved[1], lonlat=False)
 

@@ -25,7 +25,6 @@ MADE = {
 """Options of synthetic ground, and what its makers call them."""
 OF_LONGJI = ("seed", "spacing", "rocks", "roughness")
 MAKERS = {"synthetic-longji": OF_LONGJI, "synthetic": tuple(MADE)}
-PLACE = ("X", "Y", "HEADING")
 OF_A_CHOICE = ("sweep", "members", "tolerance", "candidates", "fixes", "prefer", "exact_terrain", "charge")
 """Options that ask for something only beside `risk`."""
 IN_A_MISSION = ("target", "start", "lonlat", "tolerance", "candidates", "fixes", "prefer")
@@ -154,8 +153,8 @@ class PlanRequest(GroundRequest):
     Attributes
     ----------
     target : Where to plan a path to, in m; with the heading there, in deg.
-    start : Pose of the rover, in m and deg; or where a drive ended: the folder of `twin states` or `twin predict`, or a
-        motion.csv.
+    start : Place of the rover, in m, and its heading, in deg: towards the target if left out. Or where a drive ended:
+        the folder of `twin states` or `twin predict`, or a motion.csv.
     speed : Speed in m/s; the rover's highest if left out.
     turning_radius : Smallest radius of an arc, in m; not less than the wheels allow, whose pivots must lie within it.
     hazard_distance : Distance to keep from hazards and holes, in m.
@@ -210,9 +209,9 @@ class PlanRequest(GroundRequest):
             f"`start` {self.start} is in m, and `lonlat` in deg; give its longitude and latitude":
                 self.lonlat and bool(self.start_files),
         })  # fmt: skip
-        for name, counts in (("start", (3,)), ("target", (2, 3))):
+        for name in ("start", "target"):
             if name == "target" or not self.start_files:
-                object.__setattr__(self, name, _numbers(name, getattr(self, name), counts))
+                object.__setattr__(self, name, _numbers(name, getattr(self, name)))
         if self.purpose == "path":
             self._check_path()
         else:
@@ -273,14 +272,13 @@ class PlanRequest(GroundRequest):
         return GroundRequest.limits_of_ground(self) | of_a_path
 
 
-def _numbers(option: str, place: Place, counts: tuple[int, ...]) -> tuple[float, ...]:
+def _numbers(option: str, place: Place) -> tuple[float, ...]:
     try:
         numbers = tuple(float(part) for part in (place.split(",") if isinstance(place, str) else place))
     except (TypeError, ValueError):
         numbers = ()
-    if len(numbers) not in counts:
-        wanted = " or ".join(",".join(PLACE[:count]) for count in counts)
-        raise RequestError(f"`{option}` '{place}' is not {wanted}, numbers with commas between them")
+    if len(numbers) not in (2, 3):
+        raise RequestError(f"`{option}` '{place}' is not X,Y or X,Y,HEADING, numbers with commas between them")
     return numbers
 
 

@@ -197,7 +197,8 @@ class RouteSearch:
         clear, point = self.clear_m(end[None])
         if math.isfinite(clear) and len(self.ground.border):
             text += f", {max(clear, 0.0):.2g} m from where {self.obstacle(point)}"
-        return f"{text}; try a smaller hazard distance, tighter turns, a nearer target first, or other limits"
+        other = "a nearer target first" if len(nearest.arcs) else f"or {self._instead('start', self.start)}"
+        return f"{text}; try a smaller hazard distance, tighter turns, other limits, {other}"
 
     def _obstacle_places(self) -> tuple[FloatArray, FloatArray]:
         terrain = self.surface.terrain
@@ -211,8 +212,11 @@ class RouteSearch:
         if distance < least:
             raise ParameterError(
                 f"at the {name} the footprint is {distance:.2f} m from an obstacle and {least:g} m are to be kept: "
-                f"{self.obstacle(point)}; give another {name}, or a smaller distance"
+                f"{self.obstacle(point)}; {self._instead(name, poses[0])}, or a smaller distance"
             )
+
+    def _instead(self, name: str, pose: FloatArray) -> str:
+        return instead(self.surface, name, (float(pose[0]), float(pose[1])), self.footprint.reach_m)
 
 
 def search_margin_m(footprint: RoverFootprint, distance_m: float) -> float:
@@ -324,12 +328,21 @@ def nearest_room(surface: Traversability, place: tuple[float, float], reach_m: f
     terrain = surface.terrain
     closed = np.pad(surface.hazard | surface.unknown, 1, constant_values=True)
     room = distance_transform_edt(~closed)[1:-1, 1:-1] * terrain.spacing_m
-    rows, columns = np.nonzero(room > reach_m + surface.mobility.hazard_distance_m)
+    # A path is looked for between nodes: what is closed reaches half a spacing further, and so does the rover.
+    rows, columns = np.nonzero(room > reach_m + surface.mobility.hazard_distance_m + terrain.spacing_m)
     if not rows.size:
         return None
     x, y = terrain.x_m[columns], terrain.y_m[rows]
     nearest = np.hypot(x - place[0], y - place[1]).argmin()
     return float(x[nearest]), float(y[nearest])
+
+
+def instead(surface: Traversability, name: str, place: tuple[float, float], reach_m: float) -> str:
+    """What to give in place of a start or target for a rover that reaches so far."""
+    near = nearest_room(surface, place, reach_m)
+    return f"give another {name}" + (
+        "" if near is None else f", the nearest with room being {near[0]:.6g},{near[1]:.6g}"
+    )
 
 
 def check_place(surface: Traversability, name: str, place: Sequence[float], reach_m: float = 0.0) -> None:
@@ -343,17 +356,16 @@ def check_place(surface: Traversability, name: str, place: Sequence[float], reac
         of = f" of '{name_of(terrain.crs)}'" if terrain.crs else ""
         raise ParameterError(
             f"the {name} x {x:g} m, y {y:g} m lies outside the map, which goes from x {terrain.x_m[0]:g} to "
-            f"{terrain.x_m[-1]:g} m and from y {terrain.y_m[0]:g} to {terrain.y_m[-1]:g} m{of}"
+            f"{terrain.x_m[-1]:g} m and from y {terrain.y_m[0]:g} to {terrain.y_m[-1]:g} m{of}; "
+            f"{instead(surface, name, (x, y), reach_m)}"
         )
     row, column = map(int, terrain.nodes(np.array([x, y])))
     if reason := surface.reason(row, column):
         steep = float(surface.maps.slope_deg[row, column])
         limit = f", such as --max-slope {math.ceil(steep)}" if steep > surface.mobility.max_slope_deg else ""
-        near = nearest_room(surface, (x, y), reach_m)
-        other = "" if near is None else f", the nearest with room being {near[0]:.6g},{near[1]:.6g}"
         raise ParameterError(
-            f"the rover cannot be at the {name}: {reason}; give another {name}{other}; or, if it stands there, a limit "
-            f"that lets it leave{limit}"
+            f"the rover cannot be at the {name}: {reason}; {instead(surface, name, (x, y), reach_m)}; or, if it stands "
+            f"there, a limit that lets it leave{limit}"
         )
 
 

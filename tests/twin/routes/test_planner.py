@@ -219,6 +219,17 @@ def test_what_cannot_be_planned_says_why(
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("start", [(-3.5, 0.0, 0.0), (-2.3, 0.0, 0.0), (4.2, 0.0, 180.0)])
+def test_the_start_that_an_error_names_is_one(start: tuple[float, float, float]) -> None:
+    """Outside the map, at its edge, and at a wall."""
+    surface = seen(wall((0.0, 6.0)) if start[0] < 0 else wall())
+    target = (9.0, 0.0) if start[0] < 0 else (0.0, 0.0)
+    with pytest.raises(ParameterError, match="another start, the nearest with room being") as caught:
+        plan_path(surface, YUTU2, start, target)
+    x, y = (float(part) for part in str(caught.value).split("room being ")[1].split(" ")[0].rstrip(",;").split(","))
+    assert plan_path(surface, YUTU2, (x, y, start[2]), target).plan.length_m > 1.0
+
+
 def test_the_passage_of_the_stand_in_is_found() -> None:
     """With the walls of the craters forbidden, the path to the end of the plan of Ding et al. (2024) is that plan's."""
     plan = read_plan()
