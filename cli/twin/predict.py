@@ -239,9 +239,11 @@ def _endpoint_notes(verdict: Verdict) -> list[str]:
     end = verdict.endpoint
     if end is None:
         return []
+    along, across = "far" if end.ahead_m > 0 else "short", "left" if end.left_m > 0 else "right"
     notes = [
-        f"ends: mean {end.bias_m:.3f} m from the destination, all within {end.covering_radius_m:.3f} m of it, "
-        f"within {end.scatter_radius_m:.3f} m of each other's middle"
+        f"ends: mean {end.bias_m:.3f} m from the destination ({abs(end.ahead_m):.3f} m too {along}, "
+        f"{abs(end.left_m):.3f} m to the {across}), "
+        f"all within {end.covering_radius_m:.3f} m of it, within {end.scatter_radius_m:.3f} m of each other's middle"
     ]
     if (share := end.physics_share) is not None and share >= 0.005:
         notes.append(

@@ -18,7 +18,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinat
 from lunarsci.arrays import NORMAL_MAD, FloatArray, IntArray
 from lunarsci.errors import DataError
 from lunarsci.ranges import refuse
-from lunarsci.regolith.prior import STRANGE, Law, Question, question
+from lunarsci.regolith.prior import Law, Question, question
 from lunarsci.regolith.wheel import Wheel
 from lunarsci.twin.ground.hazards import RoverFootprint, Traversability
 from lunarsci.twin.ground.height_errors import GRAIN_NODES, HeightErrors, Relief, fractal_power, mean_over
@@ -88,7 +88,7 @@ class Unresolved:
     ----------
     spacing_m : of its nodes. [m]
     rms_m : what lies between them, in the median over the ground that may be there. [m]
-    deciding_m : spacing at which an obstacle of the rover lies between nodes by a chance of `SIGNIFICANCE`. [m]
+    deciding_m : spacing from which on nothing is drawn: the radius of a wheel. [m]
     """
 
     spacing_m: float
@@ -97,11 +97,11 @@ class Unresolved:
 
 
 def with_unresolved(
-    terrain: Terrain, places_m: FloatArray, wheel: Wheel, step_m: float, seed: int = 0
+    terrain: Terrain, places_m: FloatArray, wheel: Wheel, seed: int = 0
 ) -> tuple[Terrain, Unresolved | None]:
     """A terrain about planned places (n, 2) on nodes no wider than a wheel's radius, with what it does not show.
 
-    As it is, and None, where its own nodes are as close. `step_m` is what a wheel climbs.
+    As it is, and None, where its own nodes are as close.
     """
     factor = 2 ** max(0, math.ceil(math.log2(terrain.spacing_m / wheel.radius_m) - 1e-9))
     rows, columns = _about(terrain, places_m)
@@ -117,10 +117,7 @@ def with_unresolved(
         level=np.zeros(finer.height_m.shape, np.float32),
         grain=np.stack([grain, grain], axis=-1),
     )
-    relief, _ = lunar_relief()
-    rms_at_one_m = math.sqrt(relief.at_one_m) * math.exp(rougher[0])
-    deciding = (step_m / (STRANGE * rms_at_one_m)) ** (1.0 / relief.hurst)
-    unresolved = Unresolved(terrain.spacing_m, NORMAL_MAD * float(np.median(np.abs(grain))), deciding)
+    unresolved = Unresolved(terrain.spacing_m, NORMAL_MAD * float(np.median(np.abs(grain))), wheel.radius_m)
     return replace(finer, errors=errors), unresolved
 
 

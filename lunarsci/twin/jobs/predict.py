@@ -255,9 +255,8 @@ def _rough(inputs: DriveInputs, seed: int) -> tuple[DriveInputs, Unresolved | No
     """With ground drawn between the nodes of a terrain that is too coarse for the rover's wheels."""
     if inputs.terrain.errors is not None:
         return inputs, None
-    rover, step = inputs.rover, read_mobility(inputs.description, inputs.rover).max_step_m
-    places = planned_places(inputs.plan, rover)
-    terrain, unresolved = with_unresolved(inputs.terrain, places, rover.wheel, step, seed)
+    places = planned_places(inputs.plan, inputs.rover)
+    terrain, unresolved = with_unresolved(inputs.terrain, places, inputs.rover.wheel, seed)
     return replace(inputs, terrain=terrain, rough=unresolved is not None), unresolved
 
 

@@ -97,6 +97,7 @@ class Endpoint:
     planned_x_m, planned_y_m : planned destination. [m]
     x_m, y_m : mean of the ends. [m]
     bias_m : distance of the mean from the planned destination. [m]
+    ahead_m, left_m : how far the mean is beyond it and to its left, as the rover shall stand there. [m]
     covering_radius_m : smallest circle about the planned destination that holds every end. [m]
     scatter_radius_m : smallest circle, wherever its centre, that holds every end. [m]
     covariance_m2 : ((xx, xy), (xy, yy)) of the ends; zeros for a single member. [m2]
@@ -111,6 +112,8 @@ class Endpoint:
     x_m: float
     y_m: float
     bias_m: float
+    ahead_m: float
+    left_m: float
     covering_radius_m: float
     scatter_radius_m: float
     covariance_m2: Matrix
@@ -171,6 +174,8 @@ def endpoint_spread(prediction: Prediction) -> Endpoint:
     ends = prediction.endpoints_m[prediction.finished]
     target = prediction.destination_m
     mean = ends.mean(axis=0)
+    heading = float(prediction.planned[-1, 2])
+    ahead = np.array([math.cos(heading), math.sin(heading)])
     soil, physics = _parts(prediction)
     return Endpoint(
         planned_x_m=float(target[0]),
@@ -178,6 +183,8 @@ def endpoint_spread(prediction: Prediction) -> Endpoint:
         x_m=float(mean[0]),
         y_m=float(mean[1]),
         bias_m=float(np.hypot(*(mean - target))),
+        ahead_m=float((mean - target) @ ahead),
+        left_m=float((mean - target) @ [-ahead[1], ahead[0]]),
         covering_radius_m=float(np.hypot(*(ends - target).T).max()),
         scatter_radius_m=covering_circle(ends)[2],
         covariance_m2=_spread(ends),

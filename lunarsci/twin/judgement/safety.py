@@ -303,7 +303,7 @@ def undecided(verdict: Verdict, plain: Verdict, unresolved: Unresolved) -> Verdi
     why = (
         f"it hangs on ground that nodes {unresolved.spacing_m:g} m apart do not show: {percent(share)} of the drives "
         "fail on draws of the Moon's roughness, and the plan keeps its limits where it is smooth between the nodes; "
-        f"heights every {unresolved.deciding_m:.2g} m would decide"
+        f"heights every {unresolved.deciding_m:.2g} m, a wheel's radius, would decide"
     )
     return dataclasses.replace(verdict, verdict="not-determined", reasons=(why, *verdict.reasons))
 

@@ -16,7 +16,6 @@ from scipy.interpolate import CubicSpline
 import lunarsci
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError
 from lunarsci.regolith.columns import ground_name
-from lunarsci.regolith.prior import STRANGE
 from lunarsci.regolith.soil import Soil, read_soil
 from lunarsci.regolith.wheel import read_wheel
 from lunarsci.rovers import read_rover
@@ -310,7 +309,7 @@ def test_nodes_are_as_close_as_a_wheel_is_large_and_the_map_stays_as_it_is() -> 
     laid[:, 9:] = hard.vector()
     rough = dataclasses.replace(rough, soil=laid)
     rough.height_m[0, 0] = np.nan
-    finer, told = with_unresolved(rough, PLACES, WHEEL, 0.2)
+    finer, told = with_unresolved(rough, PLACES, WHEEL)
     assert told is not None and told.spacing_m == 5.0 and finer.spacing_m == 5.0 / 64 and finer.errors is not None
     x, y = np.array([-1.3, 0.0, 4.7, 7.2]), np.array([0.4, -2.0, 3.3, 0.0])
     assert finer.height_at(x, y) == pytest.approx(math.tan(math.radians(4.0)) * y, abs=1e-9)
@@ -320,14 +319,10 @@ def test_nodes_are_as_close_as_a_wheel_is_large_and_the_map_stays_as_it_is() -> 
     assert row[np.searchsorted(finer.x_m, 6.0), 3] == pytest.approx(3000.0)
     assert row[at, 3] == pytest.approx(0.5 * (soft.cohesion_pa + 3000.0), rel=0.02)
     near = coarse(0.9, 4.0)
-    as_it_is, nothing = with_unresolved(near, PLACES, dataclasses.replace(WHEEL, radius_m=0.9), 0.2)
+    as_it_is, nothing = with_unresolved(near, PLACES, dataclasses.replace(WHEEL, radius_m=0.9))
     assert as_it_is is near and nothing is None
-    # Three sigma of what lies between nodes are then a step that a wheel climbs.
-    relief, _ = lunar_relief()
-    rougher = math.exp(roughness_of_map(rough)[0])
-    assert STRANGE * rougher * math.sqrt(relief.at_one_m * told.deciding_m ** (2.0 * relief.hurst)) == pytest.approx(
-        0.2
-    )
+    # Nodes as near as the advice says have nothing drawn between them.
+    assert with_unresolved(coarse(told.deciding_m, 4.0), PLACES[:1], WHEEL)[1] is None
 
 
 def test_a_map_tells_how_rough_its_ground_is() -> None:
