@@ -359,6 +359,16 @@ def _seen_by(rig: StereoRig, pose: Pose, points: FloatArray) -> _Side:
     return _Side(pixels, by_point, np.concatenate([by_turn, -by_point], axis=2), by_rig)
 
 
+def leaning(tilt_rad: float, height_m: float) -> FloatArray:
+    """Covariance of direction and place of a camera at `height_m` over ground, or a rover, whose level is not known.
+
+    `tilt_rad` is the standard deviation of either tilt. Rotation first, about the axes of the world; (6, 6).
+    """
+    level = np.diag([tilt_rad, tilt_rad, 0.0])
+    leant = np.concatenate([level, crossed(np.array([[0.0, 0.0, -height_m]]))[0] @ level])
+    return np.asarray(leant @ leant.T)
+
+
 def crossed(vectors: FloatArray) -> FloatArray:
     """Matrices of the cross product from the left. (n, 3) to (n, 3, 3)"""
     return np.asarray(np.cross(vectors[:, None], np.eye(3)).swapaxes(1, 2))

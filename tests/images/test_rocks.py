@@ -180,13 +180,14 @@ def test_what_may_have_been_missed_on_the_way(tmp_path: Path) -> None:
     share = {"diameter_m": 0.2, "range_from_m": 0.0, "range_to_m": 3.0, "share": 1.0}
     rows = [share, share | {"range_from_m": 3.0, "range_to_m": 5.0, "share": 0.5}]
     told = {"camera_m": [0.0, 0.0, 0.0], "area_m2": 20.0, "completeness": rows}
-    rocks = [{"properties": {"diameter_m": 0.4}}, {"properties": {"diameter_m": 0.1}}]
+    small = {"diameter_m": 0.1, "height_m": 0.04, "height_m_sigma": 0.01}
+    rocks = [{"properties": {"diameter_m": 0.4}}, {"properties": small}]
     path = tmp_path / "rocks.geojson"
     path.write_text(json.dumps({"type": "FeatureCollection", "features": rocks, "searched": told}))
     way = np.column_stack([np.linspace(2.0, 6.0, 401), np.zeros(401)])
     text = missed_rocks(read_input(str(path)), way, 1.0, 0.09)
     chance = 1 - np.exp(-1.5 / 20 / 0.75 * (0.5 * 2 + 1.0))
     assert text is not None and f"missed there is {100 * chance:.0f} %" in text
-    assert "rocks of 20 cm" in text and "0 % to 100 %" in text
+    assert "1 of 2 rocks may be higher than the 9 cm" in text and "0 % to 100 %" in text
     path.write_text(json.dumps({"type": "FeatureCollection", "features": []}))
     assert missed_rocks(read_input(str(path)), way, 1.0, 0.09) is None

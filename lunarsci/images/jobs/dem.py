@@ -7,15 +7,17 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from lunarsci.errors import DataError
+from lunarsci.images.adjustment import leaning
 from lunarsci.images.camera import Pose, StereoRig
 from lunarsci.images.elevation import ElevationModel, elevation_bytes, elevation_geotiff
 from lunarsci.images.gridding import cloud_of, cloud_ply, grid_of, levelled
 from lunarsci.images.jobs.requests import CamerasRequest, DemRequest, LocateRequest
 from lunarsci.images.matching import StereoMatches, match
 from lunarsci.images.pictures import read_picture
-from lunarsci.images.reliability import Reliability, check_sides, reliability, ties_of
+from lunarsci.images.reliability import MARIA, Reliability, check_sides, reliability, ties_of
 from lunarsci.images.rig_files import check_rig_of, read_pose, read_rig
 from lunarsci.io.inputs import Source, read_input
 from lunarsci.options import request_of
@@ -128,7 +130,8 @@ class StereoTerrain(Result):
         notes = [*STATEMENTS]
         if self.levelled:
             notes.append(
-                "no pose was given: the ground near the rover is taken as level, and slopes are those against it"
+                "no pose was given: the ground near the rover is taken as level, give or take slopes of lunar maria "
+                f"({math.degrees(MARIA):.0f}° along a line); --pose states the tilt and its error"
             )
         notes += [f"rig read as: {note}" for note in self.rig.read_as]
         if self.rig.assumed:
@@ -178,6 +181,7 @@ def dem(
             raise DataError(f"{both}: {'; '.join(doubts)}") from error
         raise
     place = pose or levelled(matches, rig.height_m)
+    unknown = None if pose else block_diag(leaning(MARIA, rig.height_m), rig.covariance)
     model = grid_of(
         matches,
         rig,
@@ -185,6 +189,7 @@ def dem(
         name=files[0].stem,
         spacing_m=request.spacing,
         farthest_m=farthest,
+        covariance=unknown,
         synthetic=any(b"SYNTHETIC" in file.data[:4000] for file in files) or "SYNTHETIC" in rig.name,
     )
     inputs = {file.name: file.sha256 for file in files}

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError, RequestError
-from lunarsci.images.adjustment import crossed
+from lunarsci.images.adjustment import leaning
 from lunarsci.images.camera import Pose, StereoRig
 from lunarsci.images.jobs.dem import nearest_ground_m
 from lunarsci.images.jobs.requests import LocateRequest
@@ -373,9 +373,7 @@ def _covariance(pose: Pose, before: Sequence[Station], errors: DeadReckoning, he
     """
     tilt, turn = math.radians(errors.tilt_deg), math.radians(errors.heading_deg)
     if not before:
-        level = np.diag([tilt, tilt, 0.0]) * (errors.mast_deg is not None)
-        leant = np.concatenate([level, crossed(np.array([[0.0, 0.0, -height_m]]))[0] @ level])
-        return np.asarray(leant @ leant.T)
+        return leaning(tilt * (errors.mast_deg is not None), height_m)
     way = float(np.linalg.norm(pose.center_m - before[-1].pose.center_m))
     step = math.hypot(errors.drift * way, math.sqrt(2) * tilt * height_m)
     return np.diag(np.square([tilt, tilt, turn, step, step, step]))

@@ -177,17 +177,20 @@ Zones = tuple[ExclusionZone, ...]
 """Circles to keep out of, in the order in which they were given."""
 
 
-def read_keep_outs(source: InputFile, crs: str = "") -> Zones:
-    """Circles of a GeoJSON file, in the coordinates of the terrain, in m.
+def read_keep_outs(source: InputFile, crs: str = "", climbs_m: float = 0.0) -> Zones:
+    """Circles of a GeoJSON file, in the coordinates of the terrain, in m, but those of what wheels climb.
 
     Coordinates are those of the terrain. Where this has a coordinate system (`crs`, well-known text) they are longitude
     and latitude on its body, as RFC 7946 has them, unless the file has a member `crs`.
 
     A feature with `x_m`, `y_m` and `keepout_m`, as `images rocks` writes it, is that circle; a point needs
-    `keepout_m` or `radius_m`. A round polygon is the circle about it, another one is covered with circles. Raises
+    `keepout_m` or `radius_m`. Where its `height_m` and twice `height_m_sigma` together are at most `climbs_m` it does
+    not count: that is ground. A round polygon is the circle about it, another one is covered with circles. Raises
     DataError.
     """
-    return read_json(source, "a GeoJSON file of ground to keep out of", lambda document: _zones(document, crs))
+    return read_json(
+        source, "a GeoJSON file of ground to keep out of", lambda document: _zones(document, crs, climbs_m)
+    )
 
 
 def missed_rocks(source: InputFile, places_m: FloatArray, width_m: float, stops_m: float) -> str | None:
@@ -221,22 +224,31 @@ def _missed(document: Any, search: Any, places_m: FloatArray, width_m: float, st
         share[(away >= low) & (away < high)] = value
     listed = [feature.get("properties") or {} for feature in document["features"]]
     large = sum(float(one.get("diameter_m", 0.0)) >= diameter for one in listed)
+    high = sum(not _height(one) <= stops_m for one in listed)
     density = (large + 0.5) / float(search["area_m2"]) / max(float(np.mean([v for *_, v in shares])), 0.05)
     chance = 1.0 - math.exp(-density * width_m * float((steps * (1.0 - share)).sum()))
     ends = " to ".join(dict.fromkeys(f"{100 * v:.0f} %" for v in (share.min(initial=1.0), share.max(initial=0.0))))
+    farthest = max(row[1] for row in shares)
     return (
-        f"rocks of {100 * diameter:.0f} cm, {100 * stops_m:.0f} cm high, stop a wheel: the search finds {ends} of them "
-        f"along the way (0 % beyond {max(row[1] for row in shares):g} m of the camera); the chance that one was "
-        f"missed there is {100 * chance:.0f} %"
+        f"{high} of {len(listed)} rocks may be higher than the {100 * stops_m:.0f} cm that wheels climb, and are kept "
+        f"out of; of rocks of that height the search finds {ends} along the way (0 % beyond {farthest:g} m of the "
+        f"camera); the chance that one was missed there is {100 * chance:.0f} %"
     )
 
 
-def _zones(document: Any, crs: str) -> Zones:
+def _zones(document: Any, crs: str, climbs_m: float) -> Zones:
     features = document.get("features") if isinstance(document, Mapping) else None
     if not isinstance(features, Sequence) or isinstance(features, str):
         raise ParameterError("no FeatureCollection; `lunarsci images rocks -o rocks.geojson` writes one")
     projection = MapProjection(crs) if crs and "crs" not in document else None
-    return tuple(zone for number, feature in enumerate(features, 1) for zone in _zones_of(feature, number, projection))
+    return tuple(
+        zone for number, feature in enumerate(features, 1) for zone in _zones_of(feature, number, projection, climbs_m)
+    )
+
+
+def _height(properties: Mapping[str, Any]) -> float:
+    """What stands there is not higher than this; NaN where nothing is said. [m]"""
+    return float(properties.get("height_m", math.nan)) + 2.0 * float(properties.get("height_m_sigma", math.nan))
 
 
 def _on_map(coordinates: Any, projection: MapProjection | None) -> FloatArray:
@@ -248,12 +260,14 @@ def _on_map(coordinates: Any, projection: MapProjection | None) -> FloatArray:
         raise ParameterError(f"{error}; or say with a member 'crs' that coordinates are m of the map") from error
 
 
-def _zones_of(feature: Any, number: int, projection: MapProjection | None) -> Iterator[ExclusionZone]:
+def _zones_of(feature: Any, number: int, projection: MapProjection | None, climbs_m: float) -> Iterator[ExclusionZone]:
     if not isinstance(feature, Mapping) or not isinstance(feature.get("geometry"), Mapping):
         raise ParameterError(f"feature {number} has no geometry")
     properties, shape = feature.get("properties") or {}, feature["geometry"]
     name = str(properties.get("name", f"rock {properties['id']}" if "id" in properties else f"keep-out {number}"))
     try:
+        if _height(properties) <= climbs_m:
+            return
         if {"x_m", "y_m", "keepout_m"} <= set(properties):
             yield ExclusionZone(name, *(float(properties[key]) for key in ("x_m", "y_m", "keepout_m")))
         elif shape["type"] == "Point":

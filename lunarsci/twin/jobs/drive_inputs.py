@@ -35,7 +35,7 @@ from lunarsci.twin.ground.driven_soil import (
     soil_record,
 )
 from lunarsci.twin.ground.finer_ground import terrain_questions
-from lunarsci.twin.ground.hazards import near_way, read_keep_outs
+from lunarsci.twin.ground.hazards import near_way, read_keep_outs, read_mobility
 from lunarsci.twin.ground.soil_map import drawn_grounds
 from lunarsci.twin.ground.synthetic import synthetic_longji
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain, TerrainFile, read_terrain_file
@@ -221,7 +221,7 @@ def read_drive_inputs(
         inputs |= {terrain: read_input(terrain).sha256} | file.hashes_beside
     check = MadeForCheck(description, built, rover is not None, surface, (named or below) is not None, file.read_as)
     drive, earlier = check.placed(read, file.crs_of_file), earlier and check.placed(earlier, "")
-    drive = _with_keep_outs(drive, built, keep_out, inputs, surface.crs)
+    drive = _with_keep_outs(drive, built, read_mobility(description, built).max_step_m, keep_out, inputs, surface.crs)
     if fixes is not None and len(drive.legs) < 2:
         raise RequestError(f"`fixes` steer the next leg, and {drive.origin} has only one; leave them out")
     drive = check.plan(drive, None if plan is None else drive.origin, judged=judged)
@@ -281,12 +281,14 @@ def _check_missing(plan: Path) -> None:
         )
 
 
-def _with_keep_outs(plan: Plan, rover: Rover, files: Sequence[str], inputs: dict[str, str], crs: str) -> Plan:
+def _with_keep_outs(
+    plan: Plan, rover: Rover, climbs_m: float, files: Sequence[str], inputs: dict[str, str], crs: str
+) -> Plan:
     """The plan with the circles of keep-out files that its way comes near to; their hashes go to the `inputs`."""
     for name in files:
         file = read_input(name)
         inputs[file.name] = file.sha256
-        zones = tuple(zone for zone in read_keep_outs(file, crs) if zone not in plan.exclusion_zones)
+        zones = tuple(zone for zone in read_keep_outs(file, crs, climbs_m) if zone not in plan.exclusion_zones)
         near = near_way(zones, planned_places(plan, rover))
         plan = replace(plan, exclusion_zones=plan.exclusion_zones + near)
     return plan

@@ -304,11 +304,12 @@ def read_site(
     check = MadeForCheck(description, built, asked.rover is not None, laid, named is not None, file.read_as)
     check.note("terrain", file.made_for, terrain)
     check.soil(driven, terrain)
+    mobility = read_mobility(description, built).with_limits(**limits)
     return SurveyedSite(
         terrain=file.likely(laid),
         rover=built,
         description=description,
-        mobility=read_mobility(description, built).with_limits(**limits),
+        mobility=mobility,
         inputs=inputs | file.hashes_beside | used,
         tables=tables | {f"{description.origin} (rover)": sha256(description.text.encode())},
         made=made,
@@ -316,7 +317,9 @@ def read_site(
         check=check,
         file=file,
         origin=terrain,
-        keep_outs=tuple(zone for path in asked.keep_out for zone in read_keep_outs(read_input(path), laid.crs)),
+        keep_outs=tuple(
+            zone for path in asked.keep_out for zone in read_keep_outs(read_input(path), laid.crs, mobility.max_step_m)
+        ),
         layers=layers,
         sun_deg=sun,
         shadow_cost=shadow_cost,

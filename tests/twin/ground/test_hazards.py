@@ -287,6 +287,17 @@ def test_rocks_points_and_polygons_are_read() -> None:
     assert found[2] == ExclusionZone("keep-out 3", 1.0, 2.0, 0.3)
 
 
+def test_a_rock_that_wheels_climb_in_all_likelihood_is_ground() -> None:
+    """Of 5 cm, of 10 cm give or take 6, of 25 cm, and one of which no height is stated."""
+    heights = ({"height_m": h, "height_m_sigma": s} for h, s in ((0.05, 0.01), (0.1, 0.06), (0.25, 0.01)))
+    rocks = [
+        polygon([[0, 0]], id=k, x_m=float(k), y_m=0.0, keepout_m=0.2, **height)
+        for k, height in enumerate((*heights, {}), 1)
+    ]
+    every, high = (read_keep_outs(geojson(*rocks), climbs_m=climbs) for climbs in (0.0, 0.2))
+    assert len(every) == 4 and [zone.name for zone in high] == ["rock 2", "rock 3", "rock 4"]
+
+
 def test_what_is_not_round_is_covered_by_circles_that_hold_it() -> None:
     """An L of two arms of 4 m x 0.4 m: every point of it lies in a circle, and no circle reaches far beyond."""
     ring = [[0.0, 0.0], [4.0, 0.0], [4.0, 0.4], [0.4, 0.4], [0.4, 4.0], [0.0, 4.0], [0.0, 0.0]]
