@@ -261,3 +261,7 @@ def test_without_a_pose_the_ground_is_level(files: dict[str, str]) -> None:
     assert free.levelled
     assert free.pose.angles_deg()[1] == pytest.approx(30, abs=2)
     assert abs(np.nanmedian(free.model.height_m)) < 0.03
+    # Nobody knows by how much it leans: 3 deg along a line.
+    away = np.hypot(*np.meshgrid(free.model.x_m, free.model.y_m))
+    leaning = free.model.height_m_common_sigma / (np.tan(np.radians(2.965)) * away)
+    assert 0.97 < np.nanmin(leaning) and np.nanmedian(leaning) < 1.2
