@@ -132,6 +132,9 @@ class LocatedStations(Result):
             "from_dead_reckoning_m": float(np.linalg.norm(pose.center_m - station.pose.center_m)),
         }
 
+    def as_input(self, role: str) -> dict[str, Callable[[], bytes]]:
+        return {"positions.csv": self.files()["positions.csv"]} if role == "positions" else {}
+
     def files(self) -> dict[str, Callable[[], bytes]]:
         """Positions, poses for `images dem`, and shifts of elevation models made with them: name to what makes it."""
         result = self.localised

@@ -9,6 +9,7 @@ import numpy as np
 
 from lunarsci.arrays import SIGNIFICANCE
 from lunarsci.errors import DataError, RequestError
+from lunarsci.heights import TERRAINS
 from lunarsci.images.camera import StereoRig
 from lunarsci.images.elevation import (
     ElevationModel,
@@ -154,6 +155,9 @@ class MergedStations(Result):
         from lunarsci.images.figures import merge_page
 
         yield merge_page(self.merged)
+
+    def as_input(self, role: str) -> dict[str, Callable[[], bytes]]:
+        return {"merged.npz": self.files()[".npz"]} if role in TERRAINS else {}
 
     def files(self) -> dict[str, Callable[[], bytes]]:
         """The map as the formats that have errors: ending to what makes the content."""

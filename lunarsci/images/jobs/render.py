@@ -92,6 +92,10 @@ class SyntheticPair(Result):
             axis.set_axis_off()
         yield figure
 
+    def as_input(self, role: str) -> dict[str, Callable[[], bytes]]:
+        name = next((one for one in self.files() if one.partition(".")[0] == role and role != "truth"), "")
+        return self.files() if role == "stations" else {name: self.files()[name]} if name else {}
+
     def files(self) -> dict[str, Callable[[], bytes]]:
         """Pictures, the rig and pose that a solver is given, and the truth: name to what makes the content."""
         words = {"Comment": "SYNTHETIC, rendered by lunarsci", "Source": self.landscape.name}

@@ -11,6 +11,7 @@ from lunarsci.images.elevation import Change, ElevationModel, read_elevation
 from lunarsci.images.jobs.requests import TrackRequest
 from lunarsci.images.tracks import TrackDepths, change_along, read_line, track_depths
 from lunarsci.io.inputs import read_input
+from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
 from lunarsci.provenance import sha256
 from lunarsci.result import Doubt, Result, job
@@ -121,6 +122,9 @@ class TrackSinkage(Result):
         }
         rows = [dict(zip(columns, map(float, row), strict=True)) for row in zip(*columns.values(), strict=True)]
         return [row | {"status": reason or "ok"} for row, reason in zip(rows, depths.reason, strict=True)]
+
+    def as_input(self, role: str) -> dict[str, Callable[[], bytes]]:
+        return {"track.csv": lambda: csv_bytes(self.to_pandas())} if role == "track" else {}
 
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.images.figures import track_page

@@ -90,6 +90,9 @@ class InferredSoil(IdentifiedSoil):
         made = self.posterior.belief().to_json() if kind == ".json" else self.posterior.draws_csv()
         return made.encode()
 
+    def as_input(self, role: str) -> dict[str, Callable[[], bytes]]:
+        return {"soil.json": lambda: self.soils(".json")} if role in ("soil", "belief") else {}
+
 
 @job
 def infer(
