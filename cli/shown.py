@@ -45,9 +45,9 @@ def as_text(result: Result) -> str:
 def _first_rows(table: TextTable) -> TextTable:
     """The first rows and notes, and how many more there are."""
     more, others = table.count - ROWS, len(table.notes) - NOTES
-    said = [f"… and {more:,} more rows: to_pandas() has all"] if more > 0 else []
+    rest = [f"… and {more:,} more rows: to_pandas() has all"] if more > 0 else []
     left = [f"… and {others} more notes: to_dict()"] if others > 0 else []
-    notes = [*said, *table.notes[:NOTES], *left]
+    notes = [*rest, *table.notes[:NOTES], *left]
     return dataclasses.replace(table, rows=table.rows[:ROWS], notes=notes, total=0)
 
 

@@ -67,8 +67,9 @@ def in_python(text: str) -> str:
         return TYPED.get(name, name) + (f"={quoted}" if value else "")
 
     parts = as_named(text).split("`")
-    parts[::2] = [_WRITTEN.sub("files()", _FLAG.sub(worded, part)) for part in parts[::2]]
-    return "`".join(parts)
+    commands = [k % 2 == 1 and not part.startswith("-") for k, part in enumerate(parts)]
+    pairs = zip(parts, commands, strict=True)
+    return "`".join(part if typed else _WRITTEN.sub("files()", _FLAG.sub(worded, part)) for part, typed in pairs)
 
 
 def meanings(kind: type) -> dict[str, str]:

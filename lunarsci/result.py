@@ -19,7 +19,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, ClassVar, ParamSpec, TypeAlias, TypeVar, get_args
 
 from lunarsci.errors import Failure, LunarSciWarning, ParameterError, worded
-from lunarsci.figure import styled
+from lunarsci.figure import shown, styled
 from lunarsci.memory import as_named, path_of, results_on_disk
 from lunarsci.minerals import WITH_BANDS
 from lunarsci.names import some_of
@@ -345,12 +345,12 @@ class Result(ABC):
         return as_named(to_json(document(self.schema, self.content(), self.provenance().to_dict(time=time))))
 
     def plot(self, page: int = 0) -> "Figure":
-        """A page of `--plot`, from 0. Raises ParameterError where there is no such page."""
+        """A page of `--plot`, from 0, which a notebook shows. Raises ParameterError where there is no such page."""
         with styled():
             figure = next(islice(self.figures(), page, None), None)
         if figure is None:
             raise ParameterError(f"page {page}: there is no such picture of this result")
-        return figure
+        return shown(figure)
 
     def _repr_html_(self) -> str:
         made: str = self.renderer().as_html(self) if self.renderer else self.to_table()._repr_html_()

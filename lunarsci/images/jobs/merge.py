@@ -27,7 +27,7 @@ from lunarsci.images.jobs.requests import DemRequest, MergeRequest
 from lunarsci.images.localisation import localise
 from lunarsci.images.mosaic import Mosaic, Seam, mosaic
 from lunarsci.images.rig_files import read_rig
-from lunarsci.io.inputs import InputFile, read_input
+from lunarsci.io.inputs import Ground, InputFile, read_input
 from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.options import request_of
 from lunarsci.ranges import refuse
@@ -170,7 +170,7 @@ class MergedStations(Result):
 
 @job
 def merge(
-    terrains: Sequence[str],
+    terrains: "Sequence[Ground] | str",
     request: MergeRequest | None = None,
     *,
     progress: Callable[[int, int], None] | None = None,
@@ -187,7 +187,7 @@ def merge(
     >>> ground = lunarsci.merge(["lunarsci-demo", "station-2"], rig="lunarsci-demo/rig.toml")
     """
     request = request_of(MergeRequest, request, options)
-    names = [terrains] if isinstance(terrains, str) else list(terrains)
+    names = [terrains] if isinstance(terrains, str) else [*map(str, terrains)]
     folders = [Path(name).is_dir() for name in names]
     if all(folders):
         return _of_pairs(names, request, progress)

@@ -10,7 +10,7 @@ from lunarsci.arrays import FloatArray
 from lunarsci.images.elevation import Change, ElevationModel, read_elevation
 from lunarsci.images.jobs.requests import TrackRequest
 from lunarsci.images.tracks import TrackDepths, change_along, read_line, track_depths
-from lunarsci.io.inputs import read_input
+from lunarsci.io.inputs import Ground, read_input
 from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
 from lunarsci.provenance import sha256
@@ -155,7 +155,7 @@ class TrackSinkage(Result):
 
 @job
 def track(
-    terrain: str,
+    terrain: "Ground",
     request: TrackRequest | None = None,
     *,
     progress: Callable[[int, int], None] | None = None,
@@ -172,8 +172,8 @@ def track(
     """
     request = request_of(TrackRequest, request, options)
     line = read_line(request.line)
-    inputs = {terrain: read_input(terrain).sha256}
-    model = read_elevation(terrain)
+    path = str(terrain)
+    inputs, model = {path: read_input(path).sha256}, read_elevation(path)
     tables: dict[str, str] = {}
     assumed: tuple[str, ...] = ()
     width = request.width

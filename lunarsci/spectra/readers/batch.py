@@ -331,6 +331,8 @@ def _in_order(name: str, given: tuple[Any, ...]) -> tuple[Any, ...]:
     """Wavelengths first: reflectance alone goes up and down, and such arrays are taken as swapped, which is said."""
     if any(_quantity(one) is not None or np.ndim(one) != 1 or np.size(one) < 3 for one in given[:2]):
         return given
+    if np.size(given[0]) != np.size(given[1]):
+        return given
     one_way = [abs(np.sign(np.diff(np.asarray(one, float))).sum()) == np.size(one) - 1 for one in given[:2]]
     if one_way != [False, True]:
         return given
