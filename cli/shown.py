@@ -43,11 +43,10 @@ def as_text(result: Result) -> str:
 
 
 def _first_rows(table: TextTable) -> TextTable:
-    """The first rows and notes, and how many more there are."""
-    more, others = table.count - ROWS, len(table.notes) - NOTES
-    rest = [f"… and {more:,} more rows: to_pandas() has all"] if more > 0 else []
-    left = [f"… and {others} more notes: to_dict()"] if others > 0 else []
-    notes = [*rest, *table.notes[:NOTES], *left]
+    """The first rows, and how many more there are."""
+    if (more := table.count - ROWS) <= 0:
+        return table
+    notes = [f"… and {more:,} more rows: to_pandas() has all", *table.notes]
     return dataclasses.replace(table, rows=table.rows[:ROWS], notes=notes, total=0)
 
 

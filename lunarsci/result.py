@@ -190,7 +190,11 @@ class Result(ABC):
         made_by = f" of {self.asked.command}" if self.asked else ""
         first = plain(self[0]).items() if len(self) else ()
         words = [f"{key} {value}" for key, value in first if isinstance(value, str) and key != "source"][:1]
-        numbers = [f"{key} {value:.5g}" for key, value in first if isinstance(value, int | float)]
+        numbers = [
+            f"{key} {value}" if isinstance(value, bool) else f"{key} {value:.5g}"
+            for key, value in first
+            if isinstance(value, int | float)
+        ]
         shown = [*words, *numbers][:FIRST]
         rows = f"{len(self)} row{'s' if len(self) != 1 else ''}{', the first: ' if shown else ''}{', '.join(shown)}"
         return f"<{type(self).__name__}{made_by}, {rows}; .to_table(), .plot(), .to_dict() and .to_json() have all>"
@@ -303,10 +307,10 @@ class Result(ABC):
         return table
 
     def to_pandas(self, *, parts: bool = True) -> "DataFrame":
-        """The same table as a DataFrame, units in the names of its columns."""
+        """The same table as a DataFrame, units in the names of its columns; lists of a cell are text."""
         from pandas import DataFrame
 
-        return DataFrame([plain(row) for row in (self.answers() if parts else self.rows_each())])
+        return DataFrame([flat(plain(row)) for row in (self.answers() if parts else self.rows_each())])
 
     def layers(self) -> Mapping[str, tuple[tuple[str, ...], Any]]:
         """Of a grid its axes, which are named as themselves, and what lies on them: names of axes, and values."""

@@ -123,6 +123,14 @@ def test_rover_prior_and_posterior_stay_in_memory() -> None:
     for soil, kind in ((soils[0], "belief"), ([soils[0]], "belief"), (draws, "samples"), ((draws,), "samples")):
         found = lunarsci.predict(PLAN, soil=soil, members=2).to_dict()
         assert found["soil"]["of"] == kind and found["members"] == 2
+    text = " ".join(str(lunarsci.predict(PLAN, soil=draws)).split())
+    assert "soil: of each drive a row of soil.csv" in text
+    text = " ".join(str(lunarsci.predict(PLAN, soil=soils[0], members=2)).split())
+    assert (
+        "states of 'rig; wheels 157.35 x 165 mm' at 9.81 m/s², and this is 'yutu2; wheels 150 x 150 mm' at 1.62" in text
+    )
+    same = lunarsci.infer(STATES, rover="yutu2", law="given")
+    assert "was inferred from states" not in str(lunarsci.predict(PLAN, soil=same, members=2))
     with pytest.raises(DataError, match="no column drawbar_pull_n; there are: load_N as normal_force_n"):
         lunarsci.infer(STATES.drop(columns="pull_N"), rover=WHEEL)
     with pytest.raises(RequestError, match=r"`soil` is .* give one text or input, or several in a list"):
