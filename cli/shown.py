@@ -30,15 +30,12 @@ SHOWN_BY = {
 
 ROWS = 12
 """Rows of a table that `print` shows, and a notebook before it is unfolded."""
-WIDTH = 120
-"""Characters of a line that is printed into no terminal."""
 
 
 def as_text(result: Result) -> str:
     """What the command prints, with what it says on stderr; the plain table where there is no such command."""
     tables = _tables(result)
-    width = terminal_width() or WIDTH
-    text = str(result.to_table()) + "\n" if tables is None else render([*map(_first_rows, tables)], width)
+    text = str(result.to_table()) + "\n" if tables is None else render([*map(_first_rows, tables)], terminal_width())
     return in_python("\n".join([text, *result.failures, *filter(None, (result.untrusted,))]).rstrip("\n"))
 
 

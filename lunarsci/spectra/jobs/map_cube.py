@@ -11,10 +11,10 @@ import numpy as np
 
 from lunarsci.errors import RequestError
 from lunarsci.io.atomic import written_whole
-from lunarsci.io.inputs import Source
+from lunarsci.io.inputs import Source, expand_inputs
 from lunarsci.io.tables import table_hashes
 from lunarsci.memory import new_path
-from lunarsci.options import request_of
+from lunarsci.options import refuse_where, request_of
 from lunarsci.parallel.blocks import blocks_in_order, rows_in_memory
 from lunarsci.provenance import Provenance
 from lunarsci.result import NOT_TO_BE_TRUSTED, Doubt, MadeFrom, Progress, Result, job
@@ -193,7 +193,9 @@ def map_cube(
     asked, target = request_of(MapRequest, request, options), new_path("map.nc") if path is None else Path(path)
     if target.suffix.lower() not in SUFFIXES:
         raise RequestError(f"`path` '{target.name}': a map is a file; give a name that ends in {', '.join(SUFFIXES)}")
-    image = open_cube(str(cube), stated_of(asked))
+    names = expand_inputs([str(cube)])
+    refuse_where({f"`cube` {cube} is {len(names)} files; give one": len(names) > 1})
+    image = open_cube(names[0], stated_of(asked))
     region = region_of(image, asked.roi, asked.mask, asked.every)
     products = products_of(asked)
     layers = [PIXEL_FLAGS, *backplane_layers(image), *(layer for product in products for layer in product.layers)]
