@@ -9,9 +9,9 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
+from lunarsci.options import in_python
 from lunarsci.printable import printable
 from lunarsci.provenance import plain
-from lunarsci.result import as_named
 
 from .shared.emit import answers_of
 from .shared.table import NOTES, TextTable, render, terminal_width
@@ -29,14 +29,22 @@ SHOWN_BY = {
 """Results whose `result_tables` are not those of the command that their schema names."""
 
 ROWS = 12
-"""Rows of a table that a notebook shows before it is unfolded."""
+"""Rows of a table that `print` shows, and a notebook before it is unfolded."""
 
 
 def as_text(result: Result) -> str:
     """What the command prints, with what it says on stderr; the plain table where there is no such command."""
     tables = _tables(result)
-    text = str(result.to_table()) + "\n" if tables is None else render(tables, terminal_width())
-    return as_named("\n".join([text, *result.failures, *filter(None, (result.untrusted,))]).rstrip("\n"))
+    text = str(result.to_table()) + "\n" if tables is None else render([*map(_first_rows, tables)], terminal_width())
+    return in_python("\n".join([text, *result.failures, *filter(None, (result.untrusted,))]).rstrip("\n"))
+
+
+def _first_rows(table: TextTable) -> TextTable:
+    """The first rows, and how many more there are."""
+    if (more := table.count - ROWS) <= 0:
+        return table
+    notes = [f"… and {more:,} more rows: to_pandas() has all", *table.notes]
+    return dataclasses.replace(table, rows=table.rows[:ROWS], notes=notes, total=0)
 
 
 def as_html(result: Result) -> str:
@@ -111,4 +119,4 @@ def _html_of(table: TextTable) -> str:
 
 
 def _cell(text: str) -> str:
-    return escape(printable(as_named(text)))
+    return escape(printable(in_python(text)))

@@ -10,7 +10,7 @@ Each takes paths, open files, tables or arrays, and options by name, which its h
 `print` shows the text of the command, a notebook its answer, table and picture; `.to_table()` is an astropy QTable,
 `.to_pandas()` a DataFrame, `.to_xarray()` a grid, `.plot()` a matplotlib Figure, `.to_dict()` the `result` of `--json`,
 `.untrusted` why it should not be trusted, `.doubt` the same reason by reason. Jobs are
-imported when they are first named. Other commands, such as `spectra map` and `info`, are on the command line alone.
+imported when they are first named. Other commands, such as `info`, are on the command line alone.
 """
 
 from importlib import import_module

@@ -17,6 +17,7 @@ from lunarsci.spectra.jobs.bands import bands as bands
 from lunarsci.spectra.jobs.calibrate import calibrate as calibrate
 from lunarsci.spectra.jobs.fit import fit as fit
 from lunarsci.spectra.jobs.indices import indices as indices
+from lunarsci.spectra.jobs.map_cube import map_cube as map_cube
 from lunarsci.spectra.jobs.match import match as match
 from lunarsci.spectra.jobs.unmix import unmix as unmix
 from lunarsci.twin.jobs.compare import compare as compare

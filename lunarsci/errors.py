@@ -129,6 +129,18 @@ class TakenError(OutputError):
     """Something is there already that only `force` may replace; the command line leaves with exit code 2."""
 
 
+@contextlib.contextmanager
+def worded(rephrase: Callable[[str], str]) -> Iterator[None]:
+    """Errors of lunarsci, and the reasons of a batch, with texts as `rephrase` words them."""
+    try:
+        yield
+    except LunarSciError as error:
+        error.args = (rephrase(str(error)), *error.args[1:])
+        if isinstance(error, BatchError):
+            error.failures = [one.worded(rephrase) for one in error.failures]
+        raise
+
+
 class SchedulerError(LunarSciError, RuntimeError):
     """A cluster cannot compute what it was given."""
 

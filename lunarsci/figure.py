@@ -7,6 +7,7 @@ import textwrap
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -309,6 +310,12 @@ def _smaller(figure: "Figure") -> Iterator[bytes]:
         palette = io.BytesIO()
         Image.open(io.BytesIO(content)).convert("RGB").quantize(256).save(palette, "png", optimize=True)
         yield palette.getvalue()
+
+
+def shown(figure: "Figure") -> "Figure":
+    """A figure with the picture that a notebook shows where matplotlib itself has not been asked to."""
+    figure.__dict__["_repr_png_"] = partial(_one, figure, ".png", dpi=INLINE_DPI[0])
+    return figure
 
 
 def _headline_of(figure: "Figure", number: int) -> str:

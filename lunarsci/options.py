@@ -9,7 +9,9 @@ from textwrap import fill
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
+from lunarsci.constants import GRAVITIES
 from lunarsci.errors import RequestError
+from lunarsci.memory import as_named, on_disk
 from lunarsci.names import one_of
 from lunarsci.ranges import in_words, is_within, refuse
 
@@ -37,6 +39,37 @@ TYPED = {
     "start_file": "start",
 }
 """Options that the command line has under another name: as typed there, and the name in Python."""
+OF_RESULTS = {
+    "animate": "film()",
+    "csv": "to_pandas()",
+    "field": "to_dict()",
+    "json": "to_dict()",
+    "plot": "plot()",
+    "save_map": "map_bytes()",
+}
+"""What the command line is asked for by an option, and Python has as a method of the result."""
+_FLAG = re.compile(r"(?<![\w-])--([a-z][a-z0-9-]*)(?:[ =]((?=[^ ,;:)]*[\d=A-Z])[^ ,;:)]+|auto|priors))?")
+_WRITTEN = re.compile(r"(?<![\w-])-o [A-Z][A-Z.a-z]*")
+
+
+def in_python(text: str) -> str:
+    """A text with options as Python has them, not as they are typed, but in commands between backticks.
+
+    >>> in_python("give `rover` (--units sinkage_m=mm); `twin plan --risk` is at most --max-slope 89: --csv")
+    'give `rover` (units="sinkage_m=mm"); `twin plan --risk` is at most max_slope=89: to_pandas()'
+    """
+
+    def worded(flag: re.Match[str]) -> str:
+        name, value = flag[1].replace("-", "_"), flag[2]
+        if name in OF_RESULTS:
+            return OF_RESULTS[name] + (f" {value}" if value else "")
+        quoted = value if value is None or re.fullmatch(r"[-+.\de]+", value) else f'"{value}"'
+        return TYPED.get(name, name) + (f"={quoted}" if value else "")
+
+    parts = as_named(text).split("`")
+    commands = [k % 2 == 1 and not part.startswith("-") for k, part in enumerate(parts)]
+    pairs = zip(parts, commands, strict=True)
+    return "`".join(part if typed else _WRITTEN.sub("files()", _FLAG.sub(worded, part)) for part, typed in pairs)
 
 
 def meanings(kind: type) -> dict[str, str]:
@@ -62,8 +95,8 @@ def choices_of(hint: Any) -> list[Any]:
 def check_option(name: str, value: Any, hint: Any) -> None:
     """RequestError for a value that is none of an option's choices, or of another type than its plain ones."""
     kinds = get_args(hint) if isinstance(hint, UnionType) or NoneType in get_args(hint) else (hint,)
-    if get_origin(hint) is tuple and not isinstance(value, tuple | list):
-        raise RequestError(f"`{name}` is {value!r:.60}; give one text, or several in a list")
+    if get_origin(hint) is tuple and not (isinstance(value, tuple | list) and all(isinstance(v, str) for v in value)):
+        raise RequestError(f"`{name}` is {value!r:.60}; give one text or input, or several in a list")
     choices, others = choices_of(hint), [kind for kind in kinds if get_origin(kind) is not Literal]
     if any(kind not in PLAIN for kind in others) or any(
         isinstance(value, PLAIN[kind]) and (kind is bool or not isinstance(value, bool)) for kind in others
@@ -75,14 +108,34 @@ def check_option(name: str, value: Any, hint: Any) -> None:
         raise RequestError(f"`{name}` is {value!r:.60}; {one_of(str(value), [str(one) for one in choices])}")
 
 
-def as_meant(value: Any, hint: Any) -> Any:
-    """A whole number as a real one, and one text as the only one of several, where that is meant."""
-    if get_origin(hint) is tuple and isinstance(value, str):
-        return (value,)
+def as_meant(name: str, value: Any, hint: Any) -> Any:
+    """A whole number as a real one, one text as the only one of several, a number as text, and what is in memory as
+    the path of a file that holds it, where that is meant.
+    """
     if type(value).__module__ == "numpy" and getattr(value, "shape", None) == ():
         value = value.item()
-    real = float in (hint, *get_args(hint))
-    return float(value) if real and isinstance(value, int) and not isinstance(value, bool) else value
+    if getattr(value, "ndim", 0) == 1 and hasattr(value, "tolist"):
+        value = tuple(value.tolist())
+    if "str" in str(hint):
+        value = on_disk(name, value)
+    if get_origin(hint) is tuple:
+        return (value,) if isinstance(value, str) else value
+    plain = {str, int, float} & {hint, *get_args(hint)}
+    if isinstance(value, str) and plain == {float}:
+        return _number(name, value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return value
+    return repr(value) if plain == {str} else float(value) if float in plain else value
+
+
+def _number(name: str, text: str) -> Any:
+    """The number that a text is, or names as a gravity; the text where it is none."""
+    if name == "gravity" and (named := GRAVITIES.get(text.strip().lower())):
+        return named.value
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 def options_text(kind: type) -> str:
@@ -94,7 +147,7 @@ def options_text(kind: type) -> str:
     choices = [f"{name}: {', '.join(map(repr, values))}" for name, values in named.items() if values]
     closing = [f"By default {', '.join(defaults)}.", *([f"Choices of {'; '.join(choices)}."] if choices else [])]
     lines = (fill(line, 112, break_on_hyphens=False, break_long_words=False) for line in closing)
-    return "\n".join(["Other Parameters", "----------------", *sections, "", *lines])
+    return in_python("\n".join(["Other Parameters", "----------------", *sections, "", *lines]))
 
 
 def request_of(kind: type[Request], request: Request | None, options: Mapping[str, Any]) -> Request:
@@ -109,7 +162,7 @@ def request_of(kind: type[Request], request: Request | None, options: Mapping[st
             raise RequestError(f"'{wrong}' is how the command line has `{other}`; give that name in Python")
         raise RequestError(f"'{wrong}' is no option here; {one_of(wrong, sorted(names))}")
     hints = get_type_hints(kind)
-    meant = {name: as_meant(value, hints[name]) for name, value in options.items()}
+    meant = {name: as_meant(name, value, hints[name]) for name, value in options.items()}
     given = meant if request is None else {name: getattr(request, name) for name in names} | meant
     for name, value in given.items():
         check_option(name, value, hints[name])

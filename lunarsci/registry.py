@@ -21,7 +21,7 @@ COMMANDS: dict[str, dict[str, str]] = {
         "fit": "fit",
         "unmix": "unmix",
         "match": "match",
-        "map": "",
+        "map": "map_cube",
         "library": "",
     },
     "regolith": {"forces": "wheel_forces", "identify": "identify", "infer": "infer", "compare": "compare_soils"},

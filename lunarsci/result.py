@@ -8,8 +8,6 @@ import contextlib
 import dataclasses
 import functools
 import inspect
-import io
-import os
 import re
 import sys
 import warnings
@@ -17,17 +15,18 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
-from pathlib import Path
-from tempfile import TemporaryDirectory, mkdtemp
 from types import FrameType
 from typing import TYPE_CHECKING, Any, ClassVar, ParamSpec, TypeAlias, TypeVar, get_args
 
-from lunarsci.errors import Failure, LunarSciWarning, ParameterError
-from lunarsci.figure import styled
+from lunarsci.errors import Failure, LunarSciWarning, ParameterError, worded
+from lunarsci.figure import shown, styled
+from lunarsci.memory import as_named, path_of, results_on_disk
 from lunarsci.minerals import WITH_BANDS
-from lunarsci.options import options_text, request_of
+from lunarsci.names import some_of
+from lunarsci.options import in_python, options_text, request_of
 from lunarsci.provenance import Provenance, document, plain, to_json
 from lunarsci.ranges import refuse
+from lunarsci.units import unit_of
 
 if TYPE_CHECKING:
     from astropy.table import QTable
@@ -40,32 +39,6 @@ Given = ParamSpec("Given")
 Returned = TypeVar("Returned")
 Progress: TypeAlias = Callable[[int, int], None]
 """What a job calls as it goes on: how much is done, and how much there is."""
-UNITS = {
-    "torque_nm": "N m",
-    "moment_nm": "N m",
-    "kpa_m_n": "",
-    "per_um": "1 / um",
-    "per_m": "1 / m",
-    "deg_s": "deg / s",
-    "m_s": "m / s",
-    "m2": "m2",
-    "nm": "nm",
-    "um": "um",
-    "mm": "mm",
-    "km": "km",
-    "ma": "Myr",
-    "deg": "deg",
-    "kpa": "kPa",
-    "pa": "Pa",
-    "kg": "kg",
-    "px": "pix",
-    "m": "m",
-    "n": "N",
-    "s": "s",
-    "j": "J",
-    "w": "W",
-}
-"""Unit by the last part of a key, the longest first; that of `stiffness_kpa_m_n` depends on the exponent, so none."""
 _MINERAL, _OF = f"({'|'.join(WITH_BANDS)})", "(_(low|high|sigma)(68|95)?)?$"
 MEANT = (
     (re.compile(f"^([a-z0-9]+_)?{_MINERAL}{_OF}"), "", "share of the mineral, as a fraction of 1"),
@@ -74,9 +47,6 @@ MEANT = (
     (re.compile("^(fo|fs|wo)_"), "%", "composition of the mineral in mol %"),
 )
 """Columns whose names tell no unit: unit and meaning in `to_table`."""
-ENDS = ("_sigma", "_low", "_high", "_low68", "_high68", "_low95", "_high95")
-
-
 FINE = ("ok", "converged")
 NO_VALUE = ("beyond_range", "no_channels", "undefined")
 """What a `status` says of a value that may be used, and of one that may not."""
@@ -84,16 +54,6 @@ NOT_TO_BE_TRUSTED = "not to be trusted"
 UNMOVED = 0.9
 """Share of a prior's standard deviation above which a value is the prior's; assumed."""
 AS_PRIOR = "the prior's: the spectrum says nothing"
-
-
-def unit_of(key: str) -> str:
-    """The unit that a key's suffix names, for astropy; '' where it names none.
-
-    >>> unit_of("center_nm"), unit_of("resistance_torque_nm"), unit_of("slip_ratio"), unit_of("sinkage_m_sigma")
-    ('nm', 'N m', '', 'm')
-    """
-    bare = next((key.removesuffix(end) for end in ENDS if key.endswith(end)), key)
-    return next((unit for suffix, unit in UNITS.items() if f"_{bare}".endswith(f"_{suffix}")), "")
 
 
 def doubt_about(record: Mapping[str, Any]) -> str:
@@ -183,8 +143,12 @@ class Doubt:
         return ": ".join(filter(None, (self.verdict, "; ".join(self.reasons)))) if self else ""
 
 
-OF_RESULTS = {"options", "rocks", "results"}
-"""Parameters of jobs that take results themselves, not the files of them."""
+OF_RESULTS = {"rocks", "results", "request", "progress"}
+"""Parameters of jobs that take results themselves, not the files of them, or no input."""
+OF_PATHS = {"cube", "predicted", "stations", "terrain", "terrains", "trials"}
+"""Parameters of jobs whose readers take paths alone."""
+NAMES = ("id", "rock", "name", "parameter", "quantity", "layer")
+"""Columns of which the first that is there names a row."""
 FIRST = 4
 """Values of the first row that a result shows of itself."""
 
@@ -193,8 +157,8 @@ FIRST = 4
 class Result(ABC):
     """What a job found; a job's own result says `to_dict`, `rows`, `figures`, `made_from` and `doubt`.
 
-    `print` shows the text of its command, a notebook answer, table and picture; `len` and an index give its rows, one
-    of each thing.
+    `print` shows the text of its command, a notebook answer, table and picture; `len` and an index, or a name, give its
+    rows, one of each thing. Two are equal where `to_json(time=False)` is.
 
     Of many things alike it has `content` instead of `to_dict`, and gives their `Records` there and as `rows`.
 
@@ -220,12 +184,17 @@ class Result(ABC):
     def __init_subclass__(cls, **more: Any) -> None:
         # A dataclass leaves a method that is there alone; one made of all fields would fill pages.
         cls.__repr__ = Result.__repr__  # type: ignore[method-assign]
+        cls.__eq__, cls.__hash__ = Result.__eq__, Result.__hash__  # type: ignore[method-assign]
 
     def __repr__(self) -> str:
         made_by = f" of {self.asked.command}" if self.asked else ""
         first = plain(self[0]).items() if len(self) else ()
         words = [f"{key} {value}" for key, value in first if isinstance(value, str) and key != "source"][:1]
-        numbers = [f"{key} {value:.5g}" for key, value in first if isinstance(value, int | float)]
+        numbers = [
+            f"{key} {value}" if isinstance(value, bool) else f"{key} {value:.5g}"
+            for key, value in first
+            if isinstance(value, int | float)
+        ]
         shown = [*words, *numbers][:FIRST]
         rows = f"{len(self)} row{'s' if len(self) != 1 else ''}{', the first: ' if shown else ''}{', '.join(shown)}"
         return f"<{type(self).__name__}{made_by}, {rows}; .to_table(), .plot(), .to_dict() and .to_json() have all>"
@@ -234,11 +203,32 @@ class Result(ABC):
         return len(self.rows_each())
 
     def __getitem__(self, index: Any) -> Any:
-        """Rows as of `rows_each`, one or some."""
-        return self.rows_each()[index]
+        """Rows as of `rows_each`, one or some by their numbers, or one by its name.
+
+        Raises KeyError for a name that no row has, IndexError for a number beyond them.
+        """
+        rows = self.rows_each()
+        if isinstance(index, str):
+            key = next((name for name in NAMES if len(rows) and name in rows[0]), "")
+            named = {str(row[key]): row for row in rows} if key else {}
+            if index not in named:
+                raise KeyError(f"no row is called '{index}'; there are {some_of(list(named), FIRST) or 'no names'}")
+            return named[index]
+        if isinstance(index, int) and not -len(rows) <= index < len(rows):
+            raise IndexError(f"row {index}: there are {len(rows)}, the first is 0")
+        return rows[index]
 
     def __bool__(self) -> bool:
         return True
+
+    def __eq__(self, other: object) -> bool:
+        """Whether another result of the kind says the same of the same, whenever it was made."""
+        if not isinstance(other, Result) or type(self) is not type(other):
+            return False
+        return self is other or self.to_json(time=False) == other.to_json(time=False)
+
+    def __hash__(self) -> int:
+        return hash(self.schema)
 
     def __str__(self) -> str:
         text: str = self.renderer().as_text(self) if self.renderer else str(self.to_table())
@@ -295,8 +285,8 @@ class Result(ABC):
         """The rows of `to_table`: those of `--csv`, but where these are the steps to an answer."""
         return self.rows()
 
-    def as_input(self) -> Mapping[str, Callable[[], bytes]]:
-        """The file, or the files of a folder, that jobs take which are given this result; none where none takes it."""
+    def as_input(self, role: str) -> Mapping[str, Callable[[], bytes]]:
+        """The file that an input of that name is read from where it is this result, or the files of a folder."""
         return {}
 
     def to_table(self, *, parts: bool = True) -> "QTable":
@@ -317,10 +307,10 @@ class Result(ABC):
         return table
 
     def to_pandas(self, *, parts: bool = True) -> "DataFrame":
-        """The same table as a DataFrame, units in the names of its columns."""
+        """The same table as a DataFrame, units in the names of its columns; lists of a cell are text."""
         from pandas import DataFrame
 
-        return DataFrame([plain(row) for row in (self.answers() if parts else self.rows_each())])
+        return DataFrame([flat(plain(row)) for row in (self.answers() if parts else self.rows_each())])
 
     def layers(self) -> Mapping[str, tuple[tuple[str, ...], Any]]:
         """Of a grid its axes, which are named as themselves, and what lies on them: names of axes, and values."""
@@ -329,7 +319,7 @@ class Result(ABC):
     def to_xarray(self) -> "Dataset":
         """A grid as a Dataset: heights, maps of ground, designs. Raises ParameterError where there is no grid."""
         layers = self.layers()
-        refuse({f"a {type(self).__name__} is no grid; to_pandas() has its table": not layers})
+        refuse({f"a {type(self).__name__} is no grid; to_pandas() has its table, and `map_cube` maps": not layers})
         try:
             from xarray import Dataset
         except ImportError as error:
@@ -356,15 +346,15 @@ class Result(ABC):
 
     def to_json(self, *, time: bool = True) -> str:
         """The document of `--json`; without `time` two equal results give equal text."""
-        return to_json(document(self.schema, self.content(), self.provenance().to_dict(time=time)))
+        return as_named(to_json(document(self.schema, self.content(), self.provenance().to_dict(time=time))))
 
     def plot(self, page: int = 0) -> "Figure":
-        """A page of `--plot`, from 0. Raises ParameterError where there is no such page."""
+        """A page of `--plot`, from 0, which a notebook shows. Raises ParameterError where there is no such page."""
         with styled():
             figure = next(islice(self.figures(), page, None), None)
         if figure is None:
             raise ParameterError(f"page {page}: there is no such picture of this result")
-        return figure
+        return shown(figure)
 
     def _repr_html_(self) -> str:
         made: str = self.renderer().as_html(self) if self.renderer else self.to_table()._repr_html_()
@@ -381,12 +371,14 @@ def job(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
 
     @functools.wraps(function)
     def run(*args: Given.args, **options: Given.kwargs) -> Returned:
-        bound = signature.bind(*_together(args, kind, signature), **options)
-        arguments = bound.arguments
-        arguments |= {name: in_a_file(name, arguments[name]) for name in {*arguments} - OF_RESULTS}
-        replaced = {name: in_a_file(name, value) for name, value in arguments.pop("options", {}).items()}
-        request = bound.arguments["request"] = request_of(kind, bound.arguments.get("request"), replaced)
-        with _heard(sys._getframe(1)) as heard:
+        caller = sys._getframe(1)
+        with worded(str if _is_inside(caller) else in_python), _heard(caller) as heard:
+            bound = signature.bind(*_together(args, kind, signature), **options)
+            arguments, replaced = bound.arguments, bound.arguments.pop("options", {})
+            for name in {*arguments} - OF_RESULTS:
+                read = path_of if name in OF_PATHS else results_on_disk
+                arguments[name] = read(name, arguments[name])
+            request = arguments["request"] = request_of(kind, arguments.get("request"), replaced)
             result = function(*bound.args, **bound.kwargs)
         fields = {item.name: plain(getattr(request, item.name)) for item in dataclasses.fields(request)}
         object.__setattr__(result, "asked", Asked(f"lunarsci.{function.__name__}", fields, heard))
@@ -397,51 +389,15 @@ def job(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
     return run
 
 
-@functools.cache
-def _room() -> "TemporaryDirectory[str]":
-    """Where files of results in memory lie until the process ends."""
-    return TemporaryDirectory(prefix="lunarsci-")
-
-
-def in_a_file(name: str, value: Any) -> Any:
-    """The file of a result, or of a terrain or track in memory, for a job that reads files; any other value as it is.
-
-    A terrain is (x, y, heights (ny, nx)) in metres, or a table of nodes; a track is a table.
-    """
-    contents: Mapping[str, Callable[[], bytes]] = {}
-    if isinstance(value, Result):
-        contents = value.as_input()
-    elif name in ("terrain", "track") and hasattr(value, "to_csv"):
-        contents = {f"{name}.csv": lambda: value.to_csv(index=False).encode()}
-    elif name == "terrain" and isinstance(value, tuple | list) and len(value) == 3:
-        contents = {"terrain.npz": lambda: _archive(value)}
-    if not contents:
-        return value
-    folder = Path(mkdtemp(dir=_room().name)) / (value.schema.partition("/")[0] if isinstance(value, Result) else name)
-    folder.mkdir()
-    for file, make in contents.items():
-        (folder / file).write_bytes(make())
-    return str(folder / next(iter(contents)) if len(contents) == 1 else folder)
-
-
-def as_named(text: str) -> str:
-    """A text without the folders in which files of results in memory lie."""
-    return re.sub(re.escape(f"{_room().name}{os.sep}") + r"\w+[/\\]([\w-]+[/\\])?", "", text)
-
-
-def _archive(nodes: Sequence[Any]) -> bytes:
-    import numpy as np
-
-    written = io.BytesIO()
-    x, y, heights = (np.asarray(one, float) for one in nodes)
-    np.savez(written, x_m=x, y_m=y, height_m=heights)
-    return written.getvalue()
-
-
 def _together(args: tuple[Any, ...], kind: type, signature: inspect.Signature) -> tuple[Any, ...]:
     """What a function was called with; arrays of a spectrum one after the other are one input: `bands(w, r)`."""
     arrays = next(iter(signature.parameters)) == "spectra" and len(args) in (2, 3)
     return (args,) if arrays and not isinstance(args[1], kind | None) else args
+
+
+def _is_inside(caller: FrameType) -> bool:
+    """Whether a caller is inside lunarsci, such as the command line, which words for itself what its users read."""
+    return str(caller.f_globals.get("__name__")).startswith("lunarsci.")
 
 
 @contextlib.contextmanager
@@ -451,7 +407,7 @@ def _heard(caller: FrameType) -> Iterator[list[str]]:
     A caller inside lunarsci, such as the command line, hears them by itself.
     """
     heard: list[str] = []
-    if str(caller.f_globals.get("__name__")).startswith("lunarsci."):
+    if _is_inside(caller):
         yield heard
         return
     show = warnings.showwarning
@@ -459,8 +415,8 @@ def _heard(caller: FrameType) -> Iterator[list[str]]:
     def hear(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
         if not issubclass(category, LunarSciWarning):
             show(message, category, *where, **more)
-        elif str(message) not in heard:
-            heard.append(str(message))
+        elif (text := in_python(str(message))) not in heard:
+            heard.append(text)
 
     as_errors = next((how[0] for how in warnings.filters if issubclass(LunarSciWarning, how[2])), "") == "error"
     try:

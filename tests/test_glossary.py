@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from lunarsci.result import unit_of
+from lunarsci.units import unit_of
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "docs/glossary.md").read_text("utf-8")

@@ -53,7 +53,7 @@ print(json.dumps({"missing": missing, "place": lunarsci.__file__,
 """
 """Imports every module, and looks whether what any of them imports, now or later, is of a package that lunarsci asks
 for, or one of those."""
-EXTRAS = {"cv2", "distributed", "h5netcdf", "jinja2", "markupsafe", "openpyxl", "rasterio", "xarray"}
+EXTRAS = {"cv2", "distributed", "h5netcdf", "h5py", "jinja2", "markupsafe", "openpyxl", "rasterio", "xarray"}
 """What comes with extras, and is asked for only where it is used."""
 
 

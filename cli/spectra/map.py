@@ -16,7 +16,7 @@ from ..shared.table import TextTable
 from .options import FILE
 
 if TYPE_CHECKING:
-    from lunarsci.spectra.jobs.map import CubeMap, PixelSpectrum
+    from lunarsci.spectra.jobs.map_cube import CubeMap, PixelSpectrum
 
 PIXELS, SETTINGS = "Pixels", "Products"
 
@@ -66,32 +66,33 @@ EXAMPLES = (
 
 
 @command("map", EXAMPLES, OPTIONS, blocks=BLOCKS)
-def map_cube(cube: CubeFile, request: MapRequest, output: Output, spectrum: Spectrum = None) -> Report:
+def maps(cube: CubeFile, request: MapRequest, output: Output, spectrum: Spectrum = None) -> Report:
     """Maps of an image cube: bands, indices, fits and shares in every pixel, with errors and flags.
 
     -o MAP.nc writes NetCDF (CF conventions), -o MAP.tif GeoTIFF; --plot draws a quick look.
     """
-    from lunarsci.spectra.jobs.map import map, pixel
+    from lunarsci.spectra.jobs.map_cube import map_cube, pixel
 
     if spectrum is not None:
         one = pixel(cube, spectrum, request)
         return Report(one, [_pixel_table(one)])
-    result = map(
+    result = map_cube(
         cube,
-        output.path,
+        output.path or "",
         request,
         force=output.force,
         time=not output.no_time,
         progress=output.progress("mapping lines"),
     )
-    return Report(result, [_table(result)], written=[result.path])
+    return Report(result, result_tables(result), written=[result.path])
 
 
-def _table(result: CubeMap) -> TextTable:
+def result_tables(result: CubeMap) -> list[TextTable]:
+    """One row a layer of values."""
     record = result.to_dict()
     headers = ["layer", "what", "unit", "determined", "5 %", "median", "95 %"]
     rows = [_row(row) for row in record["layers"] if row["kind"] == "value"]
-    return TextTable(headers, rows, title=_title(record["cube"]), notes=_notes(record))
+    return [TextTable(headers, rows, title=_title(record["cube"]), notes=_notes(record))]
 
 
 def _row(row: Mapping[str, Any]) -> list[str]:

@@ -178,7 +178,7 @@ MEANT = {
 
 def telemetry_text() -> str:
     """Columns of telemetry, from the names that the reader knows."""
-    from lunarsci.result import unit_of
+    from lunarsci.units import unit_of
 
     names = dict.fromkeys((*reading.POSITION_COLUMNS, *reading.POSE_COLUMNS, *reading.WHEEL_COLUMNS.values()))
     rows = [f"| `{name.replace('{}', 'WHEEL')}` | {unit_of(name.replace('_{}', ''))} | "

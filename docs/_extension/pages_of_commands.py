@@ -13,7 +13,7 @@ from lunarsci.cli import command_line
 from pages_of_code import attributes_of, unit_and_meaning
 
 from lunarsci.minerals import WITH_BANDS
-from lunarsci.result import UNITS, unit_of
+from lunarsci.units import UNITS, unit_of
 
 ROOT = Path(__file__).parents[2]
 COMMAND_PAGES = ROOT / "docs/reference/commands"

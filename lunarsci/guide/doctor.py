@@ -1,11 +1,13 @@
 """Whether lunarsci works here: versions, extras, compiled code, threads, and a test of each part, as a job."""
 
+import io
 import os
 import platform
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from importlib.metadata import requires
 from importlib.util import find_spec
 from typing import Any, ClassVar
@@ -14,7 +16,7 @@ from lunarsci.provenance import installed_version
 from lunarsci.result import Doubt, Result
 
 EXTRAS: Mapping[str, tuple[str, ...]] = {
-    "cubes": ("rasterio", "xarray", "h5netcdf"),
+    "cubes": ("rasterio", "xarray", "h5netcdf", "h5py"),
     "cluster": ("distributed",),
     "images": ("cv2",),
     "excel": ("openpyxl",),
@@ -104,10 +106,34 @@ def _versions() -> HealthCheck:
 
 
 def _extra(name: str) -> HealthCheck:
-    """An extra that is not there is said, and is no trouble."""
+    """An extra that is not there is said, and is no trouble; one that is there is tried."""
+    remedy = f"pip install 'lunarsci[{name}]'"
     missing = [module for module in EXTRAS[name] if find_spec(module) is None]
-    observed = f"not there; pip install 'lunarsci[{name}]'" if missing else "there"
-    return HealthCheck("installation", f"extra {name}", observed)
+    if missing:
+        return HealthCheck("installation", f"extra {name}", f"not there; {remedy}")
+    try:
+        for module in EXTRAS[name]:
+            import_module(module)
+        if name == "cubes":
+            _written_netcdf()
+    except Exception as error:  # whatever a broken package raises
+        trouble = f"does not work ({type(error).__name__}: {' '.join(str(error).split())}); {remedy}"
+        return HealthCheck("installation", f"extra {name}", "does not work", trouble)
+    return HealthCheck("installation", f"extra {name}", "works")
+
+
+def _written_netcdf() -> None:
+    """A NetCDF 4 file, written and read as maps are."""
+    import h5netcdf
+    import xarray
+
+    content = io.BytesIO()
+    with h5netcdf.File(content, "w") as file:
+        file.dimensions = {"x": 2}
+        file.create_variable("depth", ("x",), data=[1.0, 2.0])
+    content.seek(0)
+    with xarray.open_dataset(content, engine="h5netcdf") as data:
+        data["depth"].load()
 
 
 def _cache() -> HealthCheck:
@@ -199,8 +225,6 @@ def _soil() -> tuple[str, str]:
 
 def _drive() -> tuple[str, str]:
     """Where a short drive ends."""
-    import io
-
     from lunarsci.twin.jobs.predict import predict
 
     plan = f'name = "doctor"\n[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = {DRIVE_M}\n'

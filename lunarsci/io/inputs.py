@@ -14,23 +14,31 @@ import json
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, BinaryIO, TypeAlias, TypeVar
 
 from lunarsci.errors import DataError, NoFilesError, ParameterError, warn
 from lunarsci.io.documents import json_document
+from lunarsci.memory import FORMS, AsFiles, content_of, is_open
 from lunarsci.names import some_of
-from lunarsci.result import unit_of
 
 if TYPE_CHECKING:
+    import numpy.typing as npt
     import pandas as pd
     from astropy.table import Table
+    from xarray import DataArray, Dataset
 
 
-Source: TypeAlias = "str | Path | InputFile | IO[Any] | pd.DataFrame | Table"
-"""What can be read: a path, - for standard input, an open file, a table in memory, or what was read already."""
+Source: TypeAlias = (
+    "str | os.PathLike[str] | InputFile | IO[Any] | bytes | pd.DataFrame | pd.Series[Any] | Table | Dataset | DataArray"
+    " | Mapping[str, Any] | Sequence[Mapping[str, Any]] | AsFiles"
+)
+"""What can be read: a path, - for standard input, an open file, bytes, a table, grid or dict in memory, a result of a
+job, or what was read already."""
+Ground: TypeAlias = "Source | tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike]"
+"""The same, or x (nx,), y (ny,) and heights (ny, nx) of nodes in metres."""
 
 Made = TypeVar("Made")
 _UNPRINTABLE = re.compile(r"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f-\x9f]")
@@ -90,7 +98,7 @@ class InputFile:
 
 
 def read_input(source: Source) -> InputFile:
-    """Read a file, standard input for `-`, an open file, or a table in memory (as CSV).
+    """Read a file, standard input for `-`, an open file, or what is in memory, as `content_of` makes it a file.
 
     Quantities of a table are taken in the unit that their column's name ends in.
 
@@ -98,18 +106,14 @@ def read_input(source: Source) -> InputFile:
     """
     if isinstance(source, InputFile):
         return source
-    if isinstance(source, str | Path):
-        return _read_path(str(source))
-    given: Any = source
-    if hasattr(given, "to_csv"):
-        named = any(name is not None for name in getattr(getattr(given, "index", None), "names", ()))
-        return _filled("<table>", (given.reset_index() if named else given).to_csv(index=False).encode())
-    if hasattr(given, "colnames"):
-        return _filled("<table>", _table_bytes(given))
-    if hasattr(given, "read"):
-        name, content = str(getattr(given, "name", "<file>")), given.read()
-        return _filled(name, content.encode() if isinstance(content, str) else content)
-    raise ParameterError(f"{type(source).__name__} cannot be read; give a path, an open file or a table")
+    if isinstance(source, str | os.PathLike):
+        return _read_path(os.fspath(source))
+    content = content_of(source)
+    if content is None:
+        raise ParameterError(f"{type(source).__name__} cannot be read; give {FORMS}")
+    data, ending = content
+    kind = type(source).__name__ if isinstance(source, bytes) or ending != ".csv" else "table"
+    return _filled(str(getattr(source, "name", "<file>")) if is_open(source) else f"<{kind}>", data)
 
 
 class InputStream:
@@ -139,8 +143,8 @@ def open_input(source: "Source | InputStream") -> Iterator[InputStream]:
     """The same as `read_input` takes, to be read in pieces; a path and standard input are not read whole."""
     if isinstance(source, InputStream):
         yield source
-    elif isinstance(source, str | Path):
-        path = str(source)
+    elif isinstance(source, str | os.PathLike):
+        path = os.fspath(source)
         with contextlib.ExitStack() as opened:
             with _named_errors(_name_of(path)):
                 file = _stdin() if path == "-" else opened.enter_context(Path(path).open("rb"))
@@ -176,22 +180,6 @@ def _filled(name: str, data: bytes) -> InputFile:
     if not data:
         raise DataError(f"{name}: is empty; check how it was made or downloaded")
     return InputFile(name, data)
-
-
-def _table_bytes(table: Any) -> bytes:
-    """An astropy table as ECSV with commas, which readers of CSV take too."""
-    from astropy.io import ascii
-
-    plain = table.copy()
-    for name in plain.colnames:
-        unit, given = unit_of(name), getattr(plain[name], "unit", None)
-        if unit and given is not None and given.is_equivalent(unit):
-            plain[name] = plain[name].to(unit)
-        elif unit and given is not None and "_" in name:
-            raise DataError(f"<table>: column {name} is in {given}, its name says {unit}; rename it or convert it")
-    written = io.StringIO()
-    ascii.write(plain, written, format="ecsv", delimiter=",")
-    return written.getvalue().encode()
 
 
 def _stdin() -> BinaryIO:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias, TypeVar
 
 from lunarsci.figure import FIRST_PAGE
-from lunarsci.result import ENDS, unit_of
+from lunarsci.units import ENDS, unit_of
 
 PLURALS = {"spectrum": "spectra", "index": "indices"}
 ASTROPY = {"pix": "px", "m2": "m²", "1 / m": "1/m", "deg / s": "°/s", "m / s": "m/s", "deg": "°", "N m": "N m"}

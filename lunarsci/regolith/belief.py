@@ -45,6 +45,10 @@ CLOSED, CONTACT_ANGLES = "closed", "contact angles"
 """In the name of a law: the closed form, and contact angles that are unknown."""
 
 
+WHOSE = ("wheel", "gravity_m_s2")
+"""What a verdict says of whose states were fitted, where that is known."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FitVerdict:
     """What a fit of a soil says about itself.
@@ -58,6 +62,8 @@ class FitVerdict:
     model_error_from : `residuals` or `given`.
     reduced_chi_square : of the states kept, after that error; None where there are no more forces than parameters. [-]
     assumed : sentences, what the fit had to assume.
+    wheel : whose states they were, as `written_for` names it; '' where nothing says so.
+    gravity_m_s2 : of these states; None where nothing says so.
 
     Raises ParameterError for a verdict without its reason.
     """
@@ -69,6 +75,8 @@ class FitVerdict:
     model_error_from: str
     reduced_chi_square: float | None
     assumed: tuple[str, ...] = ()
+    wheel: str = ""
+    gravity_m_s2: float | None = None
 
     def __post_init__(self) -> None:
         faults = {
@@ -79,7 +87,7 @@ class FitVerdict:
 
     def to_dict(self) -> dict[str, Any]:
         """As `verdict_of` reads it."""
-        return asdict(self)
+        return {key: value for key, value in asdict(self).items() if key not in WHOSE or value}
 
 
 def verdict_of(document: Any) -> FitVerdict | None:

@@ -193,6 +193,7 @@ class NamedColumns:
     read_as : what was converted, and by what.
     unitless : columns that name no unit.
     answered : columns whose unit the option has said.
+    called : what the file calls columns that it calls otherwise, by their own names.
     questions : what to ask of a column that names no unit.
     """
 
@@ -200,6 +201,7 @@ class NamedColumns:
     read_as: tuple[str, ...] = ()
     unitless: tuple[str, ...] = ()
     answered: tuple[str, ...] = ()
+    called: Mapping[str, str] = field(default_factory=dict)
     questions: tuple[Question, ...] = ()
 
 
@@ -257,7 +259,7 @@ def named_columns(file: str, table: "pd.DataFrame", names: Sequence[str], units:
         load, share = (numbers_of(file, name, done[name]) for name in ("normal_force_n", what.target))
         done[what.target] = _cells(load * share)
     unitless = [what.column for what in columns.values() if not what.unit and not what.sigma]
-    return NamedColumns(done, tuple(notes), tuple(one for one in unitless if one not in asked), tuple(asked))
+    return NamedColumns(done, tuple(notes), tuple(one for one in unitless if one not in asked), tuple(asked), source)
 
 
 def _converted(what: ColumnMeaning, unit: str, values: FloatArray) -> FloatArray:

@@ -321,7 +321,8 @@ def read_state_table(
         )
     if wheels and "time_s" in columns and "wheel" not in columns:
         raise DataError(f"{file}: no column wheel; of telemetry, `lunarsci twin states` makes the states of each wheel")
-    unused = check_columns(file, columns, EVERY_COLUMN, (*(("time_s", "wheel") if wheels else ()), *needed))
+    needed = (*(("time_s", "wheel") if wheels else ()), *needed)
+    unused = check_columns(file, columns, EVERY_COLUMN, needed, named.called)
     if not any(name in columns for name in measured):
         raise DataError(f"{file}: no measured column; there can be {', '.join(measured)}")
     if not any_wheel:

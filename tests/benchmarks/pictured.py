@@ -316,7 +316,7 @@ def mapped() -> Any:
     pytest.importorskip("h5netcdf")
     from rasterio.transform import from_origin
 
-    from lunarsci.spectra.jobs.map import map as map_cube
+    from lunarsci.spectra.jobs.map_cube import map_cube
 
     x, random = np.linspace(461.0, 2976.0, 84), np.random.default_rng(2)
     depth = random.uniform(0.05, 0.3, (14, 12, 1))

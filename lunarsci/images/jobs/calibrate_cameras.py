@@ -237,6 +237,9 @@ class CalibratedCameras(Result):
             source=self._source("moments"),
         )
 
+    def as_input(self, role: str) -> dict[str, Callable[[], bytes]]:
+        return {"rig.toml": self.toml} if role in ("rig", "sources") else {}
+
     def toml(self) -> bytes:
         """The file of the rig, or of the camera, that `images cameras` reads."""
         if len(self.calibration.cameras) > 1:

@@ -2,7 +2,7 @@
 
 import math
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -124,6 +124,9 @@ class CameraSheet(Result):
             for kind in ("random", "common")
         ]
         yield range_page([rig.name for rig in self.rigs], away, *errors)
+
+    def as_input(self, role: str) -> dict[str, Callable[[], bytes]]:
+        return {"rig.toml": self.toml} if role in ("rig", "sources") else {}
 
     def toml(self) -> bytes:
         """The file of the one rig, which `images dem` reads. Raises ParameterError for none or several."""

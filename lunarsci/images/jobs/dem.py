@@ -1,7 +1,7 @@
 """Heights with errors from a pair of pictures."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -10,6 +10,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from lunarsci.errors import DataError
+from lunarsci.heights import TERRAINS
 from lunarsci.images.adjustment import leaning
 from lunarsci.images.camera import Pose, StereoRig
 from lunarsci.images.elevation import ElevationModel, elevation_bytes, elevation_geotiff
@@ -111,6 +112,9 @@ class StereoTerrain(Result):
         from lunarsci.images.figures import dem_figure
 
         yield dem_figure(self.model, self.matches, self.pose)
+
+    def as_input(self, role: str) -> dict[str, Callable[[], bytes]]:
+        return {"dem.npz": lambda: self.terrain_bytes(".npz")} if role in TERRAINS else {}
 
     def terrain_bytes(self, ending: str) -> bytes:
         """The model as .npz or GeoTIFF."""

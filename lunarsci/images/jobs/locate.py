@@ -22,6 +22,7 @@ from lunarsci.images.rig_files import check_rig_of, pose_text, read_pose, read_r
 from lunarsci.io.documents import toml_document
 from lunarsci.io.inputs import InputFile, read_input, text
 from lunarsci.io.tables import csv_bytes
+from lunarsci.memory import AsFiles
 from lunarsci.options import request_of
 from lunarsci.ranges import refuse
 from lunarsci.result import Doubt, Progress, Result, job
@@ -132,6 +133,9 @@ class LocatedStations(Result):
             "from_dead_reckoning_m": float(np.linalg.norm(pose.center_m - station.pose.center_m)),
         }
 
+    def as_input(self, role: str) -> dict[str, Callable[[], bytes]]:
+        return {"positions.csv": self.files()["positions.csv"]} if role == "positions" else {}
+
     def files(self) -> dict[str, Callable[[], bytes]]:
         """Positions, poses for `images dem`, and shifts of elevation models made with them: name to what makes it."""
         result = self.localised
@@ -183,7 +187,7 @@ class LocatedStations(Result):
 
 @job
 def locate(
-    stations: Sequence[str | Path],
+    stations: Sequence[str | Path | AsFiles],
     request: LocateRequest | None = None,
     *,
     progress: Progress | None = None,
@@ -206,7 +210,7 @@ def locate(
     rig, count = read_rig(request.rig), len(stations)
     report = progress or (lambda done, total: None)
     errors = DeadReckoning(request.drift, request.heading_error, request.tilt_error, mast_m=request.mast_m())
-    read = read_stations(stations, errors, lambda _: rig, progress=lambda done: report(done, 2 * count))
+    read = read_stations([*map(str, stations)], errors, lambda _: rig, progress=lambda done: report(done, 2 * count))
     result = localise(read.stations, progress=lambda done, total: report(count + done, 2 * count))
     return LocatedStations(localised=result, rig=rig, inputs=read.inputs, synthetic=read.synthetic)
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from lunarsci.arrays import SIGNIFICANCE
 from lunarsci.errors import DataError, RequestError
+from lunarsci.heights import TERRAINS
 from lunarsci.images.camera import StereoRig
 from lunarsci.images.elevation import (
     ElevationModel,
@@ -26,7 +27,7 @@ from lunarsci.images.jobs.requests import DemRequest, MergeRequest
 from lunarsci.images.localisation import localise
 from lunarsci.images.mosaic import Mosaic, Seam, mosaic
 from lunarsci.images.rig_files import read_rig
-from lunarsci.io.inputs import InputFile, read_input
+from lunarsci.io.inputs import Ground, InputFile, read_input
 from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.options import request_of
 from lunarsci.ranges import refuse
@@ -155,6 +156,9 @@ class MergedStations(Result):
 
         yield merge_page(self.merged)
 
+    def as_input(self, role: str) -> dict[str, Callable[[], bytes]]:
+        return {"merged.npz": self.files()[".npz"]} if role in TERRAINS else {}
+
     def files(self) -> dict[str, Callable[[], bytes]]:
         """The map as the formats that have errors: ending to what makes the content."""
         model = self.merged.model
@@ -166,7 +170,7 @@ class MergedStations(Result):
 
 @job
 def merge(
-    terrains: Sequence[str],
+    terrains: "Sequence[Ground] | str",
     request: MergeRequest | None = None,
     *,
     progress: Callable[[int, int], None] | None = None,
@@ -183,7 +187,7 @@ def merge(
     >>> ground = lunarsci.merge(["lunarsci-demo", "station-2"], rig="lunarsci-demo/rig.toml")
     """
     request = request_of(MergeRequest, request, options)
-    names = [terrains] if isinstance(terrains, str) else list(terrains)
+    names = [terrains] if isinstance(terrains, str) else [*map(str, terrains)]
     folders = [Path(name).is_dir() for name in names]
     if all(folders):
         return _of_pairs(names, request, progress)

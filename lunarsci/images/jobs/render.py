@@ -17,7 +17,7 @@ from lunarsci.images.jobs.requests import RenderRequest
 from lunarsci.images.pictures import png_bytes
 from lunarsci.images.render import ROCK_COLUMNS, Landscape, RenderedPair, landscape_on, read_track, with_track
 from lunarsci.images.rig_files import pose_text, read_rig, rig_text
-from lunarsci.io.inputs import read_input
+from lunarsci.io.inputs import Ground, read_input
 from lunarsci.options import request_of
 from lunarsci.result import Progress, Result, job
 
@@ -92,6 +92,10 @@ class SyntheticPair(Result):
             axis.set_axis_off()
         yield figure
 
+    def as_input(self, role: str) -> dict[str, Callable[[], bytes]]:
+        name = next((one for one in self.files() if one.partition(".")[0] == role and role != "truth"), "")
+        return self.files() if role == "stations" else {name: self.files()[name]} if name else {}
+
     def files(self) -> dict[str, Callable[[], bytes]]:
         """Pictures, the rig and pose that a solver is given, and the truth: name to what makes the content."""
         words = {"Comment": "SYNTHETIC, rendered by lunarsci", "Source": self.landscape.name}
@@ -131,7 +135,7 @@ def _rounded(places_m: FloatArray) -> Any:
 
 @job
 def render(
-    terrain: str | None = None,
+    terrain: "Ground | None" = None,
     request: RenderRequest | None = None,
     *,
     progress: Progress | None = None,
@@ -146,12 +150,13 @@ def render(
     >>> pair = lunarsci.render(rig="lunarsci-demo/rig.toml", samples=1, x=0.5)
     """
     request = request_of(RenderRequest, request, options)
+    path = None if terrain is None else str(terrain)
     rig = read_rig(request.rig)
     count = round(FLAT_M / COARSE_M) + 1
     level = (request.x - 0.5 * FLAT_M, request.y - 0.5 * FLAT_M, COARSE_M, np.zeros((count, count)))
     ground = landscape_on(
-        level if terrain is None else _heights(terrain),
-        name="level ground" if terrain is None else terrain,
+        level if path is None else _heights(path),
+        name=path or "level ground",
         seed=request.seed,
         rocks_per_m2=request.rocks,
         roughness=request.roughness,
@@ -159,7 +164,7 @@ def render(
         sun_elevation_deg=request.sun_elevation,
         spacing_m=request.spacing,
     )
-    inputs = {name: read_input(name).sha256 for name in (terrain, request.track) if name is not None}
+    inputs = {name: read_input(name).sha256 for name in (path, request.track) if name is not None}
     if request.track is not None:
         ground = with_track(ground, *read_track(request.track), request.track_width)
     low = float(np.nan_to_num(ground.ground(request.x, request.y)))

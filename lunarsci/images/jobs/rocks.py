@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -85,6 +85,9 @@ class RockList(Result):
         from lunarsci.images.figures import rocks_page
 
         yield rocks_page(self.ground.model, self.survey)
+
+    def as_input(self, role: str) -> dict[str, Callable[[], bytes]]:
+        return {"rocks.geojson": self.geojson} if role == "keep_out" else {}
 
     def geojson(self) -> bytes:
         """Circles to keep out of, in the coordinates of the model, in m."""

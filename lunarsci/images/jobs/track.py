@@ -10,7 +10,8 @@ from lunarsci.arrays import FloatArray
 from lunarsci.images.elevation import Change, ElevationModel, read_elevation
 from lunarsci.images.jobs.requests import TrackRequest
 from lunarsci.images.tracks import TrackDepths, change_along, read_line, track_depths
-from lunarsci.io.inputs import read_input
+from lunarsci.io.inputs import Ground, read_input
+from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
 from lunarsci.provenance import sha256
 from lunarsci.result import Doubt, Result, job
@@ -122,6 +123,9 @@ class TrackSinkage(Result):
         rows = [dict(zip(columns, map(float, row), strict=True)) for row in zip(*columns.values(), strict=True)]
         return [row | {"status": reason or "ok"} for row, reason in zip(rows, depths.reason, strict=True)]
 
+    def as_input(self, role: str) -> dict[str, Callable[[], bytes]]:
+        return {"track.csv": lambda: csv_bytes(self.to_pandas())} if role == "track" else {}
+
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.images.figures import track_page
 
@@ -151,7 +155,7 @@ class TrackSinkage(Result):
 
 @job
 def track(
-    terrain: str,
+    terrain: "Ground",
     request: TrackRequest | None = None,
     *,
     progress: Callable[[int, int], None] | None = None,
@@ -168,8 +172,8 @@ def track(
     """
     request = request_of(TrackRequest, request, options)
     line = read_line(request.line)
-    inputs = {terrain: read_input(terrain).sha256}
-    model = read_elevation(terrain)
+    path = str(terrain)
+    inputs, model = {path: read_input(path).sha256}, read_elevation(path)
     tables: dict[str, str] = {}
     assumed: tuple[str, ...] = ()
     width = request.width

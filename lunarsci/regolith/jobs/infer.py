@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from lunarsci.io.inputs import Source, read_input
 from lunarsci.options import request_of
+from lunarsci.regolith.columns import written_for
 from lunarsci.regolith.inference.posterior import SoilPosterior, infer_soil
 from lunarsci.regolith.inference.prediction import (
     PredictedStates,
@@ -90,6 +91,9 @@ class InferredSoil(IdentifiedSoil):
         made = self.posterior.belief().to_json() if kind == ".json" else self.posterior.draws_csv()
         return made.encode()
 
+    def as_input(self, role: str) -> dict[str, Callable[[], bytes]]:
+        return {"soil.json": lambda: self.soils(".json")} if role in ("soil", "belief") else {}
+
 
 @job
 def infer(
@@ -155,5 +159,7 @@ def _posterior(
         seed=asked.seed,
         progress=progress,
     )
-    posterior = replace(posterior, disputed=disputed(posterior, scores))
+    whose = written_for(given.called or given.rover, given.wheel)
+    verdict = replace(posterior.verdict, wheel=whose, gravity_m_s2=asked.gravity)
+    posterior = replace(posterior, disputed=disputed(posterior, scores), verdict=verdict)
     return posterior, scores, {source.name: source.sha256} if source else {}

@@ -38,7 +38,7 @@ class WheelForcesRequest:
     shear : Strength along and across: each its own, or one shared along the velocity or the displacement.
     bulldozing : Soil against the side face, by Hegedus or by passive pressure.
     density : Soil density in kg/m³, for `bulldozing` and Reece's moduli.
-    gravity : Gravity in m/s², for `bulldozing` and Reece's moduli.
+    gravity : Gravity in m/s², in Python also moon, mars or earth; for `bulldozing` and Reece's moduli.
     rebound : Share of the sinkage that springs back behind the wheel, 0-1.
     rut : Depth in m to which a wheel before has pressed the soil; needs `reload`.
     reload : Slope of loading in a rut in N/m³, k_0 of Wong's reloading line.
@@ -172,7 +172,7 @@ class InferRequest(IdentifyRequest):
     shear : As in `regolith forces`.
     bulldozing : As in `regolith forces`.
     density : Soil density in kg/m³, for `bulldozing` and `law` auto.
-    gravity : Gravity in m/s², for `bulldozing` and `law` auto.
+    gravity : Gravity in m/s², in Python also moon, mars or earth; for `bulldozing` and `law` auto.
     contact : Contact angles c1-c3 and the exponent's slope in skid are unknown too; by integration.
     sample : Draw from the posterior itself, not from a normal distribution.
     profile : Intervals by profile: the best of all else at each value.

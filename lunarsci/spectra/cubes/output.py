@@ -128,7 +128,7 @@ class MapFile:
 
     def _netcdf(self, path: Path, blocks: Iterable[Block]) -> None:
         """Write the map as NetCDF, block by block."""
-        h5netcdf = optional("h5netcdf")
+        h5netcdf, _ = map(optional, ("h5netcdf", "h5py"))
         with h5netcdf.File(path, "w") as file:
             file.attrs.update(self.attributes())
             dims = ("y", "x") if self.frame is not None and not self.frame.rotated else ("line", "sample")

@@ -311,7 +311,7 @@ def open_vnis(path: str) -> Layout:
     )
 
 
-HINT = "cubes and maps need rasterio, xarray and h5netcdf; install them with: pip install 'lunarsci[cubes]'"
+HINT = "cubes and maps need rasterio, xarray, h5netcdf and h5py; install them with: pip install 'lunarsci[cubes]'"
 _TIFF = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 HDF = b"\x89HDF"
 _WAVELENGTH = re.compile(
@@ -485,7 +485,7 @@ def netcdf(path: str) -> Any:
 @lru_cache(maxsize=4)
 def _netcdf(path: str, engine: str, *_version: int) -> Any:
     """An open file of xarray; `_version` makes a changed file another one. Raises DataError for one too large."""
-    h5netcdf, xarray = map(optional, ("h5netcdf", "xarray"))
+    h5netcdf, xarray, _ = map(optional, ("h5netcdf", "xarray", "h5py"))
     with _netcdf_errors(path):
         if engine == "h5netcdf":  # what is packed may be far larger than its file, and xarray reads axes as it opens it
             with h5netcdf.File(path) as file:

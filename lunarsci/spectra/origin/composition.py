@@ -270,7 +270,8 @@ def joined(rocks: Iterable[Rock]) -> list[Rock]:
 def _merged(one: Rock, other: Rock) -> Rock:
     a, b = one.composition, other.composition
     if (a.modes and b.modes) or set(a.bands) & set(b.bands):
-        raise DataError(f"{one.id}: is in the inputs twice; give each rock once, or let ids differ")
+        names = "give each rock once, or let ids differ; in Python a Series or a column names its spectrum"
+        raise DataError(f"{one.id}: is in the inputs twice; {names}")
     modes = a if a.modes else b
     both = Composition(modes.modes, {**a.bands, **b.bands}, modes.correlation)
     return Rock(one.id, both, (*one.remarks, *other.remarks), (*one.tables, *other.tables))

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
-from itertools import chain
+from itertools import chain, product
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -18,6 +18,7 @@ from lunarsci.io.tables import table_hashes
 from lunarsci.names import meant, some_of
 from lunarsci.provenance import sha256
 from lunarsci.spectra.collection import SpectrumCollection, SpectrumRows, averaged
+from lunarsci.spectra.readers.arrangements import header_channels
 from lunarsci.spectra.readers.columns import is_wavelength
 from lunarsci.spectra.readers.dispatch import read_spectra, spectra_of
 from lunarsci.spectra.readers.envi import without_headers
@@ -50,6 +51,14 @@ list."""
 NAMED = 5
 """Spectra that are named where another is asked for."""
 ARRAYS = "give (wavelength_nm, reflectance), or a third array of standard deviations"
+
+
+@dataclass(frozen=True, slots=True)
+class SpectraByPlace:
+    """Arrays (wavelength (n,), reflectance (k, n)[, sigma]), and what each of the k spectra is called by its place."""
+
+    arrays: tuple[Any, ...]
+    ids: Sequence[str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,12 +119,12 @@ def read_batch(
     batch, parts = SpectraBatch(), list[SpectrumRows]()
     items = _listed(source)
     paths = [str(item) for item in items if isinstance(item, str | Path)]
-    items = [_as_arrays(item) for item in items]
+    items = [_by_place(_as_arrays(item)) for item in items]
     for item in [
         *one_per_observation(expanded(paths, batch.failures)),
         *(item for item in items if not isinstance(item, str | Path)),
     ]:
-        if isinstance(item, Spectrum | tuple | np.ndarray):
+        if isinstance(item, Spectrum | SpectraByPlace | tuple | np.ndarray):
             parts += _from_memory(batch, item, wavelength_unit, reflectance_unit)
         else:
             parts += _from_file(batch, item, wavelength_unit, reflectance_unit)
@@ -161,13 +170,44 @@ def _as_arrays(item: Any) -> Any:
     if not (hasattr(item, "coords") and hasattr(item, "dims") and hasattr(item, "transpose")):
         return item
     axis = next((name for name in item.dims if name in item.coords and is_wavelength(str(name))), None)
-    if axis is None or hasattr(item, "data_vars"):
+    if hasattr(item, "data_vars"):
+        several = [one for one in item.data_vars.values() if axis in one.dims and one.ndim > 1]
+        return _as_arrays(several[0]) if axis is not None and len(several) == 1 else item
+    if axis is None:
         return item
     wavelength = np.asarray(item.coords[axis].values, float)
     words = str(item.coords[axis].attrs.get("units", ""))
     unit = spectral_unit(name_tokens(words)) or length_unit(words)
     in_nm = wavelength if unit is None else to_nm(wavelength, unit)
-    return in_nm, np.asarray(item.transpose(..., axis).values, float).reshape(-1, wavelength.size)
+    others = [name for name in item.dims if name != axis]
+    labels = [item[name].values if name in item.coords else range(item.sizes[name]) for name in others]
+    values = np.asarray(item.transpose(..., axis).values, float)
+    return SpectraByPlace((in_nm, values.reshape(-1, wavelength.size)), _places(list(map(str, others)), labels))
+
+
+def _places(axes: Sequence[str], labels: Sequence[Any]) -> list[str]:
+    """What is called by where it is on some axes, such as `y 3 x 7`; '' where there is no axis, or one of places."""
+    if not axes:
+        return [""]
+    return [" ".join(f"{a} {one}" for a, one in zip(axes, place, strict=True)) for place in product(*labels)]
+
+
+def _by_place(item: Any) -> Any:
+    """Arrays with lines and samples as spectra with their places; others unchanged."""
+    if not isinstance(item, tuple) or len(item) not in (2, 3) or np.ndim(_plain_values(item[1])) != 3:
+        return item
+    wavelength, *parts = item
+    values = [np.asarray(_plain_values(part)) for part in parts]
+    channels = np.size(_plain_values(wavelength))
+    if any(one.ndim == 3 and one.shape[-1] != channels for one in values):
+        raise ParameterError(f"spectra of shape {values[0].shape} beside {channels} wavelengths; give these last")
+    rows = [one.reshape(-1, channels) if one.ndim == 3 else one for one in values]
+    names = _places(("line", "sample"), [range(size) for size in values[0].shape[:2]])
+    return SpectraByPlace((wavelength, *rows), names)
+
+
+def _plain_values(given: Any) -> Any:
+    return getattr(given, "value", given)
 
 
 def _sd(error: Any) -> Any:
@@ -219,6 +259,8 @@ def _with_wavelengths(item: Any) -> Any:
     if not hasattr(item, "to_csv"):
         return item
     item = item.to_frame() if hasattr(item, "to_frame") else item
+    if item.index.dtype.kind not in "iuf" and header_channels([*map(str, item.columns)]):
+        return item.rename_axis(index="id").reset_index()
     if any(map(is_wavelength, map(str, item.columns))):
         return item
     name = "" if item.index.name is None else str(item.index.name)
@@ -260,8 +302,11 @@ def _of_arrays(
 ) -> SpectrumRows:
     """Spectra of arrays, numbered from those `before` on, read as a table. Raises DataError, ParameterError."""
     name = f"spectrum {before + 1}"
+    ids = given.ids if isinstance(given, SpectraByPlace) else ()
+    given = given.arrays if isinstance(given, SpectraByPlace) else given
     if not isinstance(given, tuple) or len(given) not in (2, 3):
         raise ParameterError(f"{name}: {len(given)} arrays, or one alone, are no spectrum; {ARRAYS}")
+    given = _in_order(name, given)
     wavelength = np.asarray(given[0] if (quantity := _wavelengths(name, given[0])) is None else quantity, float)
     rows = [_rows_of(name, _plain(name, part), wavelength.size).copy() for part in given[1:]]
     units = ["fraction" if _quantity(part) is not None else None for part in given[1:]]
@@ -270,7 +315,7 @@ def _of_arrays(
         raise ParameterError(f"{name}: {shapes}; {ARRAYS}")
     columns = tuple(
         (
-            Column(f"spectrum {before + k + 1}", values, k + 2, units[0]),
+            Column((ids[k] if ids else "") or f"spectrum {before + k + 1}", values, k + 2, units[0]),
             Column("", rows[1][min(k, len(rows[1]) - 1)], k + 2, units[1]) if len(rows) == 2 else None,
         )
         for k, values in enumerate(rows[0])
@@ -280,6 +325,19 @@ def _of_arrays(
     table = SpectrumTable(InputFile(f"<{name}>", b""), "arrays", axis, columns, places, block=rows[0])
     unit = "nm" if quantity is not None else wavelength_unit or _by_range(name, wavelength)
     return spectra_of(table, StatedUnits(unit, None if units[0] else reflectance_unit))
+
+
+def _in_order(name: str, given: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Wavelengths first: reflectance alone goes up and down, and such arrays are taken as swapped, which is said."""
+    if any(_quantity(one) is not None or np.ndim(one) != 1 or np.size(one) < 3 for one in given[:2]):
+        return given
+    if np.size(given[0]) != np.size(given[1]):
+        return given
+    one_way = [abs(np.sign(np.diff(np.asarray(one, float))).sum()) == np.size(one) - 1 for one in given[:2]]
+    if one_way != [False, True]:
+        return given
+    warn(f"<{name}>: the second array ascends, the first does not: read as (reflectance, wavelength)")
+    return given[1], given[0], *given[2:]
 
 
 def _wavelengths(name: str, given: Any) -> Any:

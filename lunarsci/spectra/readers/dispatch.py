@@ -207,7 +207,11 @@ def _ascending(wavelength: FloatArray, table: SpectrumTable) -> tuple[Any, str]:
     if same.size:
         first, second = table.places[order[same[0]]], table.places[order[same[0] + 1]]
         value = wavelength[order[same[0]]]
-        raise DataError(f"{file}: {first} and {second} have the same wavelength, {value:.10g} nm; keep one of them")
+        steps = np.sign(np.diff(wavelength))
+        remedy = "keep one of them"
+        if (steps > 0).any() and (steps < 0).any():
+            remedy = f"{table.wavelength.label} is in no order: is it the wavelength? Name the one that is"
+        raise DataError(f"{file}: {first} and {second} have the same wavelength, {value:.10g} nm; {remedy}")
     steps = np.diff(wavelength)
     if (steps > 0).all():
         return order, "ascending"

@@ -26,7 +26,6 @@ from lunarsci.figure import (
     page,
     wrapped,
 )
-from lunarsci.result import UNITS, unit_of
 from lunarsci.twin.figures.maps import HAZARD, MOST_NODES, PATH, draw_relief
 from lunarsci.twin.figures.panels import ACCENT, GOLD, LABELS, LIMIT
 from lunarsci.twin.ground.hazards import Traversability
@@ -35,6 +34,7 @@ from lunarsci.twin.judgement.designs import Design
 from lunarsci.twin.mission.mission import DrivenMission, MissionLeg, TargetFate
 from lunarsci.twin.plans.path import poses_along
 from lunarsci.twin.plans.plan import Plan
+from lunarsci.units import UNITS, unit_of
 
 COLORS = "cividis_r"
 LEAST_SHOWN, MOST_SHOWN = 0.005, 1.0

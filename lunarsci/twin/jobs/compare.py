@@ -12,6 +12,7 @@ from lunarsci.arrays import BoolArray
 from lunarsci.errors import DataError, LunarSciWarning, within_file
 from lunarsci.figure import file_label
 from lunarsci.io.inputs import InputFile, Source, read_input
+from lunarsci.memory import AsFiles
 from lunarsci.options import request_of
 from lunarsci.provenance import sha256
 from lunarsci.regolith.belief import SoilBelief, read_belief
@@ -143,9 +144,9 @@ class ComparedDrive(Result):
 
 @job
 def compare(
-    predicted: str | Path, states: Source, request: CompareRequest | None = None, **options: Any
+    predicted: str | Path | AsFiles, states: Source, request: CompareRequest | None = None, **options: Any
 ) -> ComparedDrive:
-    """Hold the prediction in a folder of `lunarsci twin predict -o` against measured wheel states.
+    """Hold a prediction, the result of `predict` or a folder of `twin predict -o`, against measured wheel states.
 
     Raises DataError for files that do not fit together, and for a belief that knows the drive.
 
@@ -154,7 +155,7 @@ def compare(
     >>> verdict = lunarsci.compare("predicted", "states/states.csv", plan="plan.toml").to_dict()["verdict"]
     """
     asked = request_of(CompareRequest, request, options)
-    forecast, inputs = read_forecast(predicted)
+    forecast, inputs = read_forecast(str(predicted))
     named = short_name(forecast.rover)
     rover = asked.rover or (named if named in rover_names() else DEFAULT_ROVER)
     description = read_rover(rover)

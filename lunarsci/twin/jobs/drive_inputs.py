@@ -118,7 +118,8 @@ class DriveInputs:
             rest = f", what it lacks of {self.driven.rest}" if self.driven.rest else ""
             why = ", assumed: none is given, and the terrain has none (--soil)" if self.driven.of == "default" else ""
             named = not standing_in and drawn < len(SOIL_COLUMNS)
-            return [f"soil: that of {self.driven.name}{rest}{why}"] if named else []
+            rows = [f"soil: of each drive a row of {self.given.name}"] if self.given.of == "samples" else []
+            return [*rows, *[f"soil: that of {self.driven.name}{rest}{why}"] * named]
         start = "no drive yet, only on " + ("the priors" if belief.verdict is None else "a fit to wheel states")
         drives = start if not belief.history else f"{len(belief.history)} drive(s)"
         unread = len(belief.history) - self.given.learned

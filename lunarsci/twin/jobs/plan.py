@@ -9,7 +9,7 @@ import numpy as np
 
 from lunarsci.errors import ParameterError, RequestError
 from lunarsci.io.documents import geojson_feature
-from lunarsci.io.inputs import read_input
+from lunarsci.io.inputs import Ground, read_input
 from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
 from lunarsci.result import Doubt, MadeFrom, Progress, job
@@ -352,7 +352,7 @@ def beyond(target: MissionTarget, surface: Traversability, rover: Rover) -> tupl
 
 @job
 def plan(
-    terrain: str | None = None,
+    terrain: "Ground | None" = None,
     request: PlanRequest | None = None,
     *,
     progress: Progress | None = None,
@@ -360,6 +360,7 @@ def plan(
 ) -> TerrainSurvey:
     """Look at a terrain, `synthetic-longji` if None, and find a path to a target: arcs that keep the rover's limits.
 
+    `terrain` is a file, or in memory an array of xarray or x (nx,), y (ny,) and heights (ny, nx) of nodes in metres.
     With `risk` many drives to it are compared on soils, and the result is a `ChosenDrive`; with `mission` several
     targets are reached leg by leg, and the result is a `PlannedMission`.
 
@@ -368,26 +369,27 @@ def plan(
     Examples
     --------
     >>> way = lunarsci.plan(target=(2.0, 0.3))
-    >>> drive = lunarsci.predict(way.files()["plan.toml"]())  # doctest: +SKIP
+    >>> drive = lunarsci.predict(way, terrain=way)
     """
     asked = request_of(PlanRequest, request, options)
     risk = USUAL if asked.risk is None else AcceptedRisk(asked.risk)
+    path = None if terrain is None else str(terrain)
     if asked.purpose == "mission":
-        return planned_mission(terrain, asked, risk, progress)
+        return planned_mission(path, asked, risk, progress)
     if asked.purpose == "choice":
-        return chosen_drive(terrain, asked, risk, progress)
+        return chosen_drive(path, asked, risk, progress)
 
     if asked.soil and (several := GivenSoil.read(asked.soil)).file is not None:
         raise RequestError(
             f"`soil` {several.name} has many soils, and a path alone is looked for on one; give `risk`, which drives "
             "it on all of them, or leave `soil` out"
         )
-    site = read_site(terrain, asked, next(iter(asked.soil), None), asked.limits_of_ground())
+    site = read_site(path, asked, next(iter(asked.soil), None), asked.limits_of_ground())
 
     check_start(asked, site)
     local = LocalGround.of(asked, site, site.surface(asked.baseline, progress), progress)
-    path = _path(on_terrain(asked, site.terrain), local.site, local.surface, local.finer, progress)
-    return TerrainSurvey(site=local.site, surface=local.surface, path=path, checked=local.checked(path))
+    way = _path(on_terrain(asked, site.terrain), local.site, local.surface, local.finer, progress)
+    return TerrainSurvey(site=local.site, surface=local.surface, path=way, checked=local.checked(way))
 
 
 def _path(

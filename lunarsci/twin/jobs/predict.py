@@ -146,8 +146,9 @@ class PredictedDrives(Result):
         yield profile_page(self.prediction, self.verdict)
         yield from box_pages(self.prediction)
 
-    def as_input(self) -> dict[str, Callable[[], bytes]]:
-        return {**self.files(), "result.json": lambda: self.to_json().encode()}
+    def as_input(self, role: str) -> dict[str, Callable[[], bytes]]:
+        whole = role in ("predicted", "start", "results")
+        return {**self.files(), "result.json": lambda: self.to_json().encode()} if whole else {}
 
     def film(self, target: Path, progress: Progress | None = None) -> bytes:
         """The drive as a film, in the format of the target's suffix: .gif, or .mp4 where ffmpeg is installed."""

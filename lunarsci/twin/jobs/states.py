@@ -32,6 +32,13 @@ SMOOTHER = "Rauch, Tung & Striebel (1965), AIAA J. 3, 1445, 10.2514/3.3166"
 DEEPEST = "sinkage belongs to the deepest wheel that passed a place; of the others the track says nothing"
 MEASURED = ("slip_ratio", "side_slip_deg", "sinkage_m")
 
+TABLES_OF = {
+    "positions": "positions.csv",
+    "states": "states.csv",
+    **dict.fromkeys(("motion", "start"), "motion.csv"),
+}
+"""Which table another job's input is, by its name."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MeasuredStates(Result):
@@ -108,8 +115,9 @@ class MeasuredStates(Result):
         """The tables as CSV: name to what makes the content."""
         return {name: lambda table=table: csv_bytes(table) for name, table in self.tables.items()}  # type: ignore[misc]
 
-    def as_input(self) -> dict[str, Callable[[], bytes]]:
-        return {"states.csv": self.files()["states.csv"]}
+    def as_input(self, role: str) -> dict[str, Callable[[], bytes]]:
+        name = TABLES_OF.get(role)
+        return {name: self.files()[name]} if name else {}
 
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.twin.figures.wheel_states import states_page

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from lunarsci.errors import ParameterError, RequestError, within_option
+from lunarsci.heights import TERRAINS
 from lunarsci.heights.grid import layers_on
 from lunarsci.heights.projections import lonlat_of, projection_notes
 from lunarsci.io.inputs import read_input
@@ -82,6 +83,10 @@ def costs_of(request: GroundRequest) -> dict[float, float]:
         return parse_classes(request.classes)
     except ParameterError as error:
         raise RequestError(f"classes of a `layer`: {error}") from error
+
+
+PLANS = ("plan", "plans", "before", "limits")
+"""Inputs of jobs that are plans, by their names."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -215,8 +220,14 @@ class TerrainSurvey(Result):
     def rows(self) -> Sequence[Mapping[str, Any]]:
         return [{"quantity": name, **values} for name, values in self.surface.maps.spreads().items()]
 
-    def as_input(self) -> dict[str, Callable[[], bytes]]:
-        return {"terrain.npz": self.files()["terrain.npz"]}
+    def as_input(self, role: str) -> dict[str, Callable[[], bytes]]:
+        """Of a plan the plan, else the terrain. Raises RequestError where no plan was made, or several."""
+        files, name = self.files(), "plan.toml" if role in PLANS else "terrain.npz" if role in TERRAINS else ""
+        if name and name not in files:
+            raise RequestError(
+                f"`{role}`: the result has not one plan; plan with a `target`, or give one of its files()"
+            )
+        return {name: files[name]} if name else {}
 
     def layers(self) -> dict[str, Any]:
         ground = self.surface.terrain

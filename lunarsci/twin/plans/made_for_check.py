@@ -229,9 +229,15 @@ class MadeForCheck:
         self.say(f"{name} was learned with '{learned}', not with '{this_rover}', whose wheels may meet another soil")
 
     def law(self, name: str, verdict: FitVerdict | None) -> None:
-        """Say it where soils were found by another law than the twin's."""
+        """Say it where soils were found by another law than the twin's, or of another wheel or gravity."""
         if remark := other_law(name, verdict, self.rover.name):
             self.say(remark)
+        if verdict is None or not verdict.wheel or verdict.gravity_m_s2 is None:
+            return
+        pull, here = (f"{one:.3g} m/s²" for one in (verdict.gravity_m_s2, self.rover.gravity_m_s2))
+        if verdict.wheel != self.rover.written or pull != here:
+            there, this = f"'{verdict.wheel}' at {pull}", f"'{self.rover.written}' at {here}"
+            self.say(f"{name} was inferred from states of {there}, and this is {this}: is the soil the same to both?")
 
     def stand_in(self) -> None:
         """Say it where a rover of one's own is on the synthetic stand-in for Yutu-2's site, as where none is named."""

@@ -150,6 +150,7 @@ def check_telemetry_columns(file: str, names: list[str], rover: Rover, *, placed
     missing = [
         f"{name}{_guess(name, names)}" for name in NEEDED if name not in names and (placed or name not in PLACES)
     ]
+    places = tuple(missing)
     for forms, usual in zip(OF_A_WHEEL, (1, 0), strict=True):
         without = [wheel for wheel in rover.wheels if not any(form.format(wheel) in names for form in forms)]
         if without:
@@ -159,9 +160,12 @@ def check_telemetry_columns(file: str, names: list[str], rover: Rover, *, placed
             missing.append(f"{' or '.join(form.format('W') for form in forms)} of {which}{guess}")
     if others or missing:
         wheel = f"'{', '.join(others[:1])}' is no wheel of {rover.name}, which has {', '.join(rover.wheels)}"
-        columns = f"columns are missing: {', '.join(missing)}; steered_W_deg is 0 for wheels that stay straight"
-        hint = "`lunarsci template telemetry --rover FILE` has all; or give the `rover` that has these wheels"
-        raise DataError(f"{file}: {wheel if others else columns}; {hint}")
+        straight = "; steered_W_deg is 0 for wheels that stay straight" if len(missing) > len(places) else ""
+        columns = f"columns are missing: {', '.join(missing)}{straight}"
+        hint = "give the `rover` that has these wheels; " if others else ""
+        raise DataError(
+            f"{file}: {wheel if others else columns}; {hint}`lunarsci template telemetry --rover FILE` has all"
+        )
 
 
 def _guess(needed: str, names: list[str]) -> str:

@@ -17,8 +17,7 @@ from lunarsci.errors import DataError, OutputError, RequestError
 from lunarsci.spectra.jobs.bands import bands
 from lunarsci.spectra.jobs.fit import fit
 from lunarsci.spectra.jobs.indices import indices
-from lunarsci.spectra.jobs.map import map as map_cube
-from lunarsci.spectra.jobs.map import pixel
+from lunarsci.spectra.jobs.map_cube import map_cube, pixel
 from lunarsci.spectra.origin.catalogue import Crater
 from lunarsci.spectra.origin.mineral_map import minerals_of, with_maps
 from lunarsci.spectra.readers.dispatch import read_spectra
@@ -175,7 +174,7 @@ def test_a_cube_of_shares_gives_craters_their_modes(tmp_path: Path) -> None:
 
 
 def test_the_same_bytes_however_it_is_computed_and_after_a_stop(envi: Any, tmp_path: Path) -> None:
-    import lunarsci.spectra.jobs.map as job
+    import lunarsci.spectra.jobs.map_cube as job
     from lunarsci.parallel.blocks import computing
 
     cube = str(envi(spectra(70, 2, seed=8).astype("f4")))

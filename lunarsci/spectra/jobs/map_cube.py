@@ -11,11 +11,13 @@ import numpy as np
 
 from lunarsci.errors import RequestError
 from lunarsci.io.atomic import written_whole
+from lunarsci.io.inputs import Source, expand_inputs
 from lunarsci.io.tables import table_hashes
-from lunarsci.options import request_of
+from lunarsci.memory import new_path
+from lunarsci.options import refuse_where, request_of
 from lunarsci.parallel.blocks import blocks_in_order, rows_in_memory
 from lunarsci.provenance import Provenance
-from lunarsci.result import NOT_TO_BE_TRUSTED, Doubt, MadeFrom, Progress, Result
+from lunarsci.result import NOT_TO_BE_TRUSTED, Doubt, MadeFrom, Progress, Result, job
 from lunarsci.spectra.cubes.cube import FLAGS, Cube, Stated
 from lunarsci.spectra.cubes.output import (
     PIXEL_FLAGS,
@@ -35,6 +37,7 @@ from lunarsci.spectra.jobs.map_products import minerals_of, products_of
 from lunarsci.spectra.jobs.requests import MOST_ROWS, ROWS, MapRequest
 
 if TYPE_CHECKING:
+    import numpy.typing as npt
     from matplotlib.figure import Figure
 
 
@@ -160,16 +163,20 @@ class PixelSpectrum(Result):
         return [{"wavelength_nm": wavelength, self.id: value} for wavelength, value in pairs]
 
 
-def map(
-    cube: str, path: str | Path | None, request: MapRequest | None = None, *, force: bool = False, time: bool = True,
-    progress: Progress | None = None, **options: Any,
+@job
+def map_cube(
+    cube: "Source | tuple[npt.ArrayLike, npt.ArrayLike]", path: str | Path | None = None,
+    request: MapRequest | None = None, *, force: bool = False, time: bool = True, progress: Progress | None = None,
+    **options: Any,
 ) -> CubeMap:  # fmt: skip
     """Measure every wanted pixel of a cube and write the maps.
 
     Parameters
     ----------
-    cube : ENVI data file or header, M3 reflectance, GeoTIFF, NetCDF or VNIS product.
-    path : of the maps, `.nc` (NetCDF, CF conventions) or `.tif` (GeoTIFF).
+    cube : ENVI data file or header, M3 reflectance, GeoTIFF, NetCDF or VNIS product; an array of xarray with a
+        coordinate of wavelengths; or (wavelength_nm (n,), reflectance (lines, samples, n)).
+    path : of the maps, `.nc` (NetCDF, CF conventions) or `.tif` (GeoTIFF); None for a file that is there until the
+        process ends, whose maps `to_xarray()` has.
     request, options : what is asked, and options of `MapRequest` that replace its own.
     force : whether a file that exists is replaced.
     time : whether the file says when it was made; without it equal runs give equal bytes.
@@ -178,11 +185,17 @@ def map(
     Raises
     ------
     RequestError for options that exclude each other; DataError for a cube that cannot be used; OutputError.
+
+    Examples
+    --------
+    >>> maps = lunarsci.map_cube("lunarsci-demo/*VD_SCI*.2B", products="indices", every=16).to_xarray()
     """
-    asked, target = request_of(MapRequest, request, options), Path(path or "")
+    asked, target = request_of(MapRequest, request, options), new_path("map.nc") if path is None else Path(path)
     if target.suffix.lower() not in SUFFIXES:
         raise RequestError(f"`path` '{target.name}': a map is a file; give a name that ends in {', '.join(SUFFIXES)}")
-    image = open_cube(str(cube), stated_of(asked))
+    names = expand_inputs([str(cube)])
+    refuse_where({f"`cube` {cube} is {len(names)} files; give one": len(names) > 1})
+    image = open_cube(names[0], stated_of(asked))
     region = region_of(image, asked.roi, asked.mask, asked.every)
     products = products_of(asked)
     layers = [PIXEL_FLAGS, *backplane_layers(image), *(layer for product in products for layer in product.layers)]
@@ -218,7 +231,7 @@ def map(
 
 
 def pixel(cube: str, place: str, request: MapRequest | None = None, **options: Any) -> PixelSpectrum:
-    """One pixel of a cube as a spectrum, what `map` measures there; `place` is `X,Y`, sample and line from 0.
+    """One pixel of a cube as a spectrum, what `map_cube` measures there; `place` is `X,Y`, sample and line from 0.
 
     Raises RequestError for a place that is none, or beside the cube.
     """
