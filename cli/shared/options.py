@@ -35,6 +35,8 @@ FAILED_TEXT = (
 )
 WIDEST = 24
 """Characters of choices in the help's column of types; more would leave no room for what an option means."""
+STDOUT = ("-", "/dev/stdout")
+"""Names of stdout, where the result goes without --output."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,6 +127,8 @@ class Output:
         """The same for the file of another option, beside those of --output and --plot."""
         if path is None:
             return
+        if str(path) in STDOUT:
+            raise typer.BadParameter(f"{name} {path}: stdout is for the result; give the name of a file")
         if suffixes and path.suffix.lower() not in suffixes:
             raise typer.BadParameter(f"{name} {path}: the name must end in {', '.join(suffixes)}")
         for other, taken in (("--output", self.path), ("--plot", self.plot)):

@@ -264,8 +264,14 @@ def numbers_of(name: str, column: str, cells: "pd.Series") -> FloatArray:
     return numbers.to_numpy(float)
 
 
-def check_columns(file: str, columns: Iterable[str], expected: Sequence[str], needed: Sequence[str] = ()) -> list[str]:
-    """Names of the columns that are not known.
+def check_columns(
+    file: str,
+    columns: Iterable[str],
+    expected: Sequence[str],
+    needed: Sequence[str] = (),
+    written: Mapping[str, str] = MappingProxyType({}),
+) -> list[str]:
+    """Names of the columns that are not known; `written` are names in the file of those that were renamed.
 
     Raises DataError for one that is needed and missing, and for one that is nearly a known one, such as `sinkage_mm`:
     it would be left out without a word.
@@ -274,7 +280,8 @@ def check_columns(file: str, columns: Iterable[str], expected: Sequence[str], ne
     unused = [name for name in present if name not in expected]
     if missing := next((name for name in needed if name not in present), None):
         guess = difflib.get_close_matches(missing, unused, n=1)
-        hint = f"is it '{guess[0]}'? rename it" if guess else f"there are: {', '.join(present)}"
+        there = ", ".join(written.get(name, name) for name in present)
+        hint = f"is it '{guess[0]}'? rename it" if guess else f"there are: {there}"
         raise DataError(f"{file}: no column {missing}; {hint}")
     for name in unused:
         near = difflib.get_close_matches(name.lower(), expected, n=1, cutoff=ALIKE)

@@ -194,6 +194,7 @@ class NamedColumns:
     unitless : columns that name no unit.
     answered : columns whose unit the option has said.
     questions : what to ask of a column that names no unit.
+    written : names in the file of columns that were renamed, by their own.
     """
 
     table: "pd.DataFrame"
@@ -201,6 +202,7 @@ class NamedColumns:
     unitless: tuple[str, ...] = ()
     answered: tuple[str, ...] = ()
     questions: tuple[Question, ...] = ()
+    written: Mapping[str, str] = field(default_factory=dict)
 
 
 def asked_units(units: str) -> dict[str, str]:
@@ -257,7 +259,8 @@ def named_columns(file: str, table: "pd.DataFrame", names: Sequence[str], units:
         load, share = (numbers_of(file, name, done[name]) for name in ("normal_force_n", what.target))
         done[what.target] = _cells(load * share)
     unitless = [what.column for what in columns.values() if not what.unit and not what.sigma]
-    return NamedColumns(done, tuple(notes), tuple(one for one in unitless if one not in asked), tuple(asked))
+    open_ones = tuple(one for one in unitless if one not in asked)
+    return NamedColumns(done, tuple(notes), open_ones, tuple(asked), written=source)
 
 
 def _converted(what: ColumnMeaning, unit: str, values: FloatArray) -> FloatArray:

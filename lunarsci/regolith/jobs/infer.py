@@ -29,7 +29,10 @@ if TYPE_CHECKING:
 def wheel_law_of(request: InferRequest) -> WheelLaw:
     """The law that the options name."""
     model = ContactModel(
-        shear=request.shear, bulldozing=request.bulldozing, density_kg_m3=request.density, gravity_m_s2=request.gravity
+        shear=request.shear,
+        bulldozing=request.bulldozing,
+        density_kg_m3=request.density,
+        gravity_m_s2=float(request.gravity),
     )
     return WheelLaw(model if request.exact or request.beyond else None, request.contact)
 
@@ -139,7 +142,7 @@ def _posterior(
     prior = read_prior(source, contact=asked.contact or chooses) if source else None
     law, scores = wheel_law_of(asked), list[Any]()
     if chooses:
-        laws = candidates(given.states, asked.density, asked.gravity)
+        laws = candidates(given.states, asked.density, float(asked.gravity))
         law, scores = compare_laws(
             given.states, given.wheel, laws, prior, model_error=asked.model_error, progress=progress
         )

@@ -197,7 +197,12 @@ class RouteSearch:
         clear, point = self.clear_m(end[None])
         if math.isfinite(clear) and len(self.ground.border):
             text += f", {max(clear, 0.0):.2g} m from where {self.obstacle(point)}"
-        return f"{text}; try a smaller hazard distance, tighter turns, a nearer target first, or other limits"
+        mobility = self.surface.mobility
+        return (
+            f"{text}; try, alone or together, `max_slope` above {mobility.max_slope_deg:g} deg, `max_step` above "
+            f"{mobility.max_step_m:g} m, `hazard_distance` below {mobility.hazard_distance_m:g} m, a smaller "
+            "`turning_radius`, or a nearer `target` first"
+        )
 
     def _obstacle_places(self) -> tuple[FloatArray, FloatArray]:
         terrain = self.surface.terrain
@@ -211,7 +216,7 @@ class RouteSearch:
         if distance < least:
             raise ParameterError(
                 f"at the {name} the footprint is {distance:.2f} m from an obstacle and {least:g} m are to be kept: "
-                f"{self.obstacle(point)}; give another {name}, or a smaller distance"
+                f"{self.obstacle(point)}; give another `{name}`, or a smaller `hazard_distance`"
             )
 
 
@@ -350,10 +355,11 @@ def check_place(surface: Traversability, name: str, place: Sequence[float], reac
         steep = float(surface.maps.slope_deg[row, column])
         limit = f", such as --max-slope {math.ceil(steep)}" if steep > surface.mobility.max_slope_deg else ""
         near = nearest_room(surface, (x, y), reach_m)
-        other = "" if near is None else f", the nearest with room being {near[0]:.6g},{near[1]:.6g}"
+        heading = f",{place[2]:.6g}" if name == "start" and len(place) > 2 else ""
+        other = "" if near is None else f", the nearest with room being {near[0]:.6g},{near[1]:.6g}{heading}"
         raise ParameterError(
-            f"the rover cannot be at the {name}: {reason}; give another {name}{other}; or, if it stands there, a limit "
-            f"that lets it leave{limit}"
+            f"the rover cannot be at the {name}: {reason}; give another `{name}`{other}; or, if it stands there, a "
+            f"limit that lets it leave{limit}"
         )
 
 
