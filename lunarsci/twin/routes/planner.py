@@ -197,12 +197,8 @@ class RouteSearch:
         clear, point = self.clear_m(end[None])
         if math.isfinite(clear) and len(self.ground.border):
             text += f", {max(clear, 0.0):.2g} m from where {self.obstacle(point)}"
-        mobility = self.surface.mobility
-        return (
-            f"{text}; try, alone or together, `max_slope` above {mobility.max_slope_deg:g} deg, `max_step` above "
-            f"{mobility.max_step_m:g} m, `hazard_distance` below {mobility.hazard_distance_m:g} m, a smaller "
-            "`turning_radius`, or a nearer `target` first"
-        )
+        options = "`max_slope`, `max_step`, `hazard_distance` and `turning_radius`, alone or together"
+        return f"{text}; try other limits by {options}, or a nearer target first"
 
     def _obstacle_places(self) -> tuple[FloatArray, FloatArray]:
         terrain = self.surface.terrain
