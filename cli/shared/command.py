@@ -26,12 +26,12 @@ from .misplaced import hint_at_kind
 from .options import (
     CONFIG,
     FORM_OF,
-    STDOUT,
     Output,
     RequestOption,
     computing_options,
     request_parameters,
     shared_options,
+    target_of,
 )
 from .talk import interrupted, say
 
@@ -73,11 +73,7 @@ def command(
         @functools.wraps(function)
         def run(context: typer.Context, config: Path | None = None, **options: Any) -> None:
             chosen = {key: options.pop(key) for key in shared}
-            if str(chosen["path"]) in STDOUT:
-                if default_path:
-                    raise typer.BadParameter(f"--output {chosen['path']}: this command fills a folder; give its name")
-                chosen["path"] = None
-            path = chosen["path"]
+            path = chosen["path"] = target_of(chosen["path"], wanted=default_path is not None)
             named = folder and (path is None or path.is_dir() or path.suffix.lower() not in FORM_OF)
             where = {key: chosen.pop(key) for key in blocks}
             output, worded = Output(**chosen, folder=named), partial(_with_flags, context=context)

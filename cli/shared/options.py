@@ -137,6 +137,15 @@ class Output:
         check_target(path, force=self.force)
 
 
+def target_of(path: Path | None, *, wanted: bool) -> Path | None:
+    """The path of --output; None where it names stdout, which does not do for a folder that is `wanted`."""
+    if str(path) not in STDOUT:
+        return path
+    if wanted:
+        raise typer.BadParameter(f"--output {path}: this command fills a folder; give its name")
+    return None
+
+
 def _option(kind: Any, *names: str, text: str, metavar: str | None = None) -> Any:
     return Annotated[kind, typer.Option(*names, help=text, metavar=metavar, rich_help_panel=PANEL)]
 

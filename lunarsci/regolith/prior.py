@@ -251,7 +251,6 @@ def question(
     law : of what such numbers are.
     units : the others by name, each with the size of one of them in the unit that is meant.
     option : what settles it.
-    unitless : whether it is asked because its column names no unit, not because the number is unusual.
     """
     if not value:
         return None
