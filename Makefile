@@ -16,7 +16,7 @@ define install
 	@touch $@
 endef
 
-.PHONY: help demo test quick studies mutants oldest newest release check docs fuzz man clean FORCE
+.PHONY: help demo test quick studies mutants oldest newest release check docs keys fuzz man clean FORCE
 
 help: ## this list
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | expand -t 8
@@ -37,6 +37,10 @@ check: $(VENV)/.developed ## linter, formatter, types
 
 docs: $(VENV)/.documented ## the documentation as pages for a browser, in docs/_build; any warning is an error
 	$(BIN)/python -m sphinx -b html -q -W --keep-going docs docs/_build
+
+COMMAND ?=
+keys: $(VENV)/.installed ## what each key of --json means: make keys COMMAND="twin predict"
+	@$(BIN)/python docs/_extension/pages_of_commands.py $(COMMAND)
 
 # One environment for one Python: another PYTHON that is asked for gets a new one. What is half made is taken away.
 VERSION := import sys; print("%d.%d" % sys.version_info[:2])

@@ -23,7 +23,7 @@ from lunarsci.io.atomic import STOPPING, written
 from lunarsci.names import nearest
 from lunarsci.registry import COMMANDS, SINGLE
 
-from .shared.talk import FAILED, NO_FILES, USAGE, failure_line, interrupt, interrupted, say
+from .shared.talk import CLOSED, FAILED, NO_FILES, USAGE, failure_line, interrupt, interrupted, say
 
 GROUPS = {
     "spectra": "What the rock is made of: absorption bands and minerals from reflectance spectra.",
@@ -144,8 +144,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         code = int(code or 0)
     except (KeyboardInterrupt, typer.Abort):
         code = interrupted()
-    except BrokenPipeError:
-        code = FAILED
+    except (BrokenPipeError, SystemExit) as error:  # typer ends a closed pipe by the latter
+        code = CLOSED if isinstance(error.__context__ or error, BrokenPipeError) else FAILED
     except Exception as error:
         code = _report(error, verbose="-v" in arguments or "--verbose" in arguments)
     _settle_stdout()

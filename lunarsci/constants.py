@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass
 
+from lunarsci.errors import ParameterError
+from lunarsci.ranges import POSITIVE, check_range
+
 
 @dataclass(frozen=True, slots=True)
 class Constant:
@@ -31,6 +34,18 @@ STANDARD_GRAVITY = Constant(
 )
 GRAVITIES = {"moon": LUNAR_GRAVITY, "mars": MARTIAN_GRAVITY, "earth": STANDARD_GRAVITY}
 """By the name of the body."""
+
+
+def gravity_of(gravity: str | float) -> float:
+    """Of `moon`, `mars`, `earth`, or a number. [m/s2] Raises ParameterError for anything else."""
+    tabulated = GRAVITIES.get(str(gravity).strip().lower())
+    try:
+        value = float(gravity) if tabulated is None else tabulated.value
+        check_range("gravity", value, POSITIVE)
+    except ValueError as error:
+        raise ParameterError(f"gravity is '{gravity}'; give {', '.join(GRAVITIES)}, or m/s2 above 0") from error
+    return value
+
 
 MOON_RADIUS_KM = 1737.4
 """Mean radius, Archinal et al. (2018), Celest. Mech. Dyn. Astron. 130, 22, 10.1007/s10569-017-9805-5. [km]"""

@@ -166,6 +166,7 @@ KINDS: Mapping[str, KindOfFile] = {
     "picture": KindOfFile("picture", ("images dem", "images rocks", "images calibrate", "report")),
     "result": KindOfFile("result of a command", ("report", "cite")),
     "table": KindOfFile("table of another kind", ()),
+    "folder": KindOfFile("folder of files", ()),
 }
 TAKEN_BY = {
     "spectra-fit": ("spectra match",),

@@ -62,10 +62,56 @@ def test_every_key_of_a_result_is_described(monkeypatch: pytest.MonkeyPatch) -> 
     rows = [(name, row) for name, text in shown.items() for row in text.splitlines() if row.startswith("| `")]
     assert len(shown) > 20 and len(rows) > 2500
     assert [(name, row) for name, row in rows if not row.strip("| ").split(" | ")[2:]] == []
-    needed = {
-        (name.split()[0], pages_of_commands.written_end(row.split("`")[1], name.split()[0])) for name, row in rows
-    }
+    needed = {pages_of_commands.written_end(row.split("`")[1], name) for name, row in rows}
     written = tomllib.loads((ROOT / "docs/_extension/key_meanings.toml").read_text("utf-8"))
-    assert {(area, end) for area, table in written.items() for end in table} - needed == set()
+    assert {(name, end) for name, table in written.items() for end in table} - needed == set()
     for name in ("pages_of_commands", "pages_of_code"):
         sys.modules.pop(name, None)
+
+
+MEANT = {
+    "twin predict": {
+        "verdict": "`go`, `no-go`, or `not-determined`",
+        "failed": "drives that broke a limit",
+        "members": "drives of the prediction",
+        "limits[].limit": "largest or smallest safe value",
+        "sensitivity[].share": "of the variance of the ends",
+        "sweep.cohesion_pa.low": "smallest value of the drives' soils",
+        "unresolved": "`deciding_m`",
+    },
+    "spectra match": {"rocks[].best": "name of the crater", "rocks[].craters[].prior": "before the rock's composition"},
+    "spectra fit": {
+        "spectra[].choice.sure": "0.93 or more",
+        "spectra[].choice.open": "between 0.07 and 0.93",
+        "spectra[].choice.not_needed": "0.07 or less",
+        "spectra[].prior": "`damping`",
+    },
+    "spectra unmix": {"spectra[].kind.stated": "`--kind`", "spectra[].abundance.ratios.*.fraction": "mean of"},
+    "regolith infer": {"joint.verdict.model": "name of the wheel-soil law", "joint.laws[].law": "name of the"},
+    "regolith identify": {"wheel.of": "rover or wheel", "bearing.exponent.solved": "share of the Monte Carlo draws"},
+    "twin compare": {"verdict": "`not contradicted`"},
+}  # fmt: skip
+"""What some keys are, by command: names that several classes have for something else each."""
+
+
+@pytest.mark.parametrize("command", MEANT)
+def test_a_key_is_described_as_the_key_of_its_own_command(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "docs/_extension"))
+    import pages_of_commands
+
+    text = pages_of_commands.keys_text(command)
+    assert re.findall("^## .*", text, re.MULTILINE) == [f"## `lunarsci {command}`"]
+    rows = {row.split("`")[1]: row for row in text.splitlines() if row.startswith("| `")}
+    for key, words in MEANT[command].items():
+        shown = [row for name, row in rows.items() if re.fullmatch(re.escape(key).replace(r"\*", r"\w+"), name)]
+        assert shown and all(words in row for row in shown), (key, shown)
+    assert [row for row in rows.values() if re.search(r"\bNone\b|\bNaN\b|\([nm], ", row)] == []
+
+
+def test_the_name_alone_does_not_say_whose_key_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Chance has `failed` and `drives`; ScoredTrials has `failed`, and nothing that stands beside it here."""
+    monkeypatch.syspath_prepend(str(ROOT / "docs/_extension"))
+    import pages_of_code
+
+    assert "broke a limit" in pages_of_code.attribute_beside("failed", {"failed", "drives", "risk"}, "twin")[1]
+    assert pages_of_code.attribute_beside("failed", {"failed", "wavelength_nm"}, "twin") == ("", "")

@@ -1,7 +1,7 @@
 """What version 1.0 promised to scripts (`docs/reference/stability.md`) is still there: names are added, none goes.
 
 `python tests/test_stability.py --write` adds new names to `tests/frozen.json`; others go by hand, in a major version.
-Columns of CSV are compared where commands run: `tests/benchmarks/former.py`.
+Columns of CSV and files in folders are compared where commands run: `tests/benchmarks/former.py`.
 """
 
 import dataclasses
@@ -13,17 +13,25 @@ import re
 import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast, get_args, get_type_hints
 
 import pytest
 import typer
-from former import FROZEN, ROOT, former_answers, frozen, unfolded
+from former import FROZEN, ROOT, files_of, former_answers, frozen, unfolded
 from lunarsci.cli import command_line
+from lunarsci.cli.shared.emit import _listed
 
 import lunarsci
 from lunarsci import errors
+from lunarsci.errors import Failure
 from lunarsci.options import choices_of
 from lunarsci.result import Result
+from lunarsci.spectra.abundance.kinds import KINDS, NOT_DETERMINED
+from lunarsci.twin.comparison.verdict import DriveComparison
+from lunarsci.twin.ground.driven_soil import Origin
+from lunarsci.twin.judgement.safety import Verdict, headword
+from lunarsci.twin.mission.mission import Fate
 from lunarsci.twin.telemetry import reading
 
 FILES = ("lunarsci.twin.rover.Rover", "lunarsci.twin.rover.Motors", "lunarsci.twin.rover.PowerSupply",
@@ -121,7 +129,27 @@ def json_keys() -> dict[str, Any]:
     return found
 
 
-PARTS = {"commands": commands, "python": python, "files": files, "json": json_keys}
+VALUES: dict[str, dict[str, Any]] = {
+    "lunarsci/twin-predict/1": {"verdict": Verdict, "soil.of": Origin},
+    "lunarsci/twin-compare/1": {"verdict": DriveComparison},
+    "lunarsci/twin-mission/1": {"mission.targets.fate": Fate},
+    "lunarsci/spectra-unmix/1": {"spectra.kind.name": (*KINDS, NOT_DETERMINED)},
+    "lunarsci/spectra-bands/1": {"spectra.band1000_status": ("ok",), "spectra.band2000_status": ("ok",)},
+}
+"""Keys of results whose values scripts compare with, and what has them: a `Literal`, or a class with one so called."""
+
+
+def values() -> dict[str, Any]:
+    """Schema, key, value."""
+
+    def of(key: str, has: Any) -> dict[str, Any]:
+        hint = get_type_hints(has)[key] if inspect.isclass(has) else has
+        return ends(has if isinstance(has, tuple) else get_args(hint))
+
+    return {schema: {key: of(key, has) for key, has in keys.items()} for schema, keys in VALUES.items()}
+
+
+PARTS = {"commands": commands, "python": python, "files": files, "json": json_keys, "values": values}
 
 
 def together(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
@@ -150,6 +178,38 @@ def test_what_scripts_rely_on_is_still_there(part: str) -> None:
     assert gone(frozen(part), PARTS[part]()) == []
 
 
+def test_recorded_answers_have_values_that_are_promised() -> None:
+    """So the table of values is of these keys, and of no others."""
+    seen: set[tuple[str, str]] = set()
+    for answer in former_answers().values():
+        for key, has in values().get(answer.get("schema", ""), {}).items():
+            found = at(answer["result"], key.split("."))
+            assert key.endswith("_status") or {*found} <= has.keys(), (key, found)
+            seen |= {(answer["schema"], key)} if {*found} & has.keys() else set()
+    assert seen == {(schema, key) for schema, keys in VALUES.items() for key in keys}
+
+
+def at(value: Any, steps: list[str]) -> list[Any]:
+    """Values at a path, of all entries of lists."""
+    if isinstance(value, list):
+        return [one for entry in value for one in at(entry, steps)]
+    if steps and isinstance(value, dict) and {"first", "last", "length"} <= value.keys():
+        return at(value["first"], steps)
+    return at(value[steps[0]], steps[1:]) if steps else [value]
+
+
+def test_a_list_of_failures_is_laid_out_as_promised() -> None:
+    """Name, reason, spectrum, with tabs between."""
+    failures = [Failure.of("a.csv", "no\tspectrum"), Failure.of("b.csv", "too few channels", "s2")]
+    assert _listed(failures) == b"a.csv\tno\\x09spectrum\t\nb.csv\ttoo few channels\ts2\n"
+
+
+def test_the_text_of_a_drive_begins_with_its_verdict() -> None:
+    verdicts = frozen("values")["lunarsci/twin-predict/1"]["verdict"]
+    heads = {value: headword(cast(Verdict, SimpleNamespace(verdict=value))) for value in verdicts}
+    assert heads == {"go": "GO", "no-go": "NO-GO", "not-determined": "NOT DETERMINED"}
+
+
 def test_a_name_that_is_gone_is_seen() -> None:
     """Of each depth, and what comes is no fault."""
     former = {"fit": {"--errors": {"laplace": {}, "profile": {}}, "--json": {}}, "bands": {}}
@@ -165,5 +225,10 @@ if __name__ == "__main__" and "--write" in sys.argv:
     for run in sys.argv[2:]:  # folders of `former.run_once`, for columns
         columns = pickle.loads(Path(run, "now.pickle").read_bytes())[2]
         now = together(now, {"columns": {name: ends(names) for name, names in columns.items()}})
-    record = {part: folded(together(unfolded(record.get(part, {})), now.get(part, {}))) for part in (*PARTS, "columns")}
+        folders = {name: ends(inside) for name in columns if (inside := files_of(Path(run), name))}
+        now = together(now, {"folders": folders})
+    kept = {
+        part: together(unfolded(record.get(part, {})), now.get(part, {})) for part in (*PARTS, "columns", "folders")
+    }
+    record = {part: folded(tree) for part, tree in kept.items()}
     FROZEN.write_text(json.dumps(record, indent=0, sort_keys=True, ensure_ascii=False) + "\n", "utf-8")

@@ -37,7 +37,7 @@ OPTIONS = {
     "shear": option(panel=EXACT),
     "bulldozing": option(panel=EXACT),
     "density": option(panel=EXACT),
-    "gravity": option(panel=EXACT),
+    "gravity": option(kind=str, metavar="G", panel=EXACT),
     "rebound": option(panel=EXACT),
     "rut": option(panel=EXACT),
     "reload": option(panel=EXACT),

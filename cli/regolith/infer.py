@@ -50,7 +50,7 @@ OPTIONS = {name: SINGLE[name] for name in SINGLE if name != "reading"} | {
     "shear": option(panel=LAW),
     "bulldozing": option(panel=LAW),
     "density": option(panel=LAW),
-    "gravity": option(panel=LAW),
+    "gravity": option(kind=str, metavar="G", panel=LAW),
     "contact": option(panel=LAW),
     "sample": option("--draw-posterior", panel=INTERVALS),
     "profile": option(panel=INTERVALS),

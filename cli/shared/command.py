@@ -17,12 +17,22 @@ from typing import Any, TypeVar
 
 import typer
 
-from lunarsci.errors import BatchError, LunarSciError, LunarSciWarning, RequestError
+from lunarsci.errors import BatchError, DataError, LunarSciError, LunarSciWarning, RequestError
 from lunarsci.io.atomic import written
 from lunarsci.provenance import Provenance, plain
 
 from .emit import Report, emit, emit_failed
-from .options import CONFIG, FORM_OF, Output, RequestOption, computing_options, request_parameters, shared_options
+from .misplaced import hint_at_kind
+from .options import (
+    CONFIG,
+    FORM_OF,
+    Output,
+    RequestOption,
+    computing_options,
+    request_parameters,
+    shared_options,
+    target_of,
+)
 from .talk import interrupted, say
 
 Declared = TypeVar("Declared", bound=Callable[..., Report])
@@ -63,7 +73,7 @@ def command(
         @functools.wraps(function)
         def run(context: typer.Context, config: Path | None = None, **options: Any) -> None:
             chosen = {key: options.pop(key) for key in shared}
-            path = chosen["path"]
+            path = chosen["path"] = target_of(chosen["path"], wanted=default_path is not None)
             named = folder and (path is None or path.is_dir() or path.suffix.lower() not in FORM_OF)
             where = {key: chosen.pop(key) for key in blocks}
             output, worded = Output(**chosen, folder=named), partial(_with_flags, context=context)
@@ -79,6 +89,7 @@ def command(
                     code = emit(report, output, _provenance(context, report, options, heard))
             except LunarSciError as error:
                 text = worded(_noted(error))
+                text += hint_at_kind(context, text) if isinstance(error, DataError) else ""
                 if isinstance(error, BatchError):
                     emit_failed([one.worded(worded) for one in error.failures], output)
                     raise BatchError(text, error.failures) from error

@@ -241,7 +241,8 @@ def _counted(report: Report, failed: str | Path | None) -> str:
     counts = [f"{whole} input{'s' if whole > 1 else ''}"] if whole else []
     counts += [f"{single} single spectr{'a' if single > 1 else 'um'}"] if single else []
     without = f"{' and '.join(counts)} without"
-    return f"{results}{without}: {some_of(names, NAMED)}; all of them: {failed or '--failed FILE'}"
+    listed = f"{failed} lists them" if failed else "--failed FILE lists them"
+    return f"{results}{without}: {some_of(names, NAMED)} ({listed})"
 
 
 def _as_file(report: Report, output: Output, record: Mapping[str, Any]) -> bytes | None:

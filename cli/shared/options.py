@@ -35,6 +35,8 @@ FAILED_TEXT = (
 )
 WIDEST = 24
 """Characters of choices in the help's column of types; more would leave no room for what an option means."""
+STDOUT = ("-", "/dev/stdout")
+"""Names of stdout, where the result goes without --output."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,12 +127,23 @@ class Output:
         """The same for the file of another option, beside those of --output and --plot."""
         if path is None:
             return
+        if str(path) in STDOUT:
+            raise typer.BadParameter(f"{name} {path}: stdout is for the result; give the name of a file")
         if suffixes and path.suffix.lower() not in suffixes:
             raise typer.BadParameter(f"{name} {path}: the name must end in {', '.join(suffixes)}")
         for other, taken in (("--output", self.path), ("--plot", self.plot)):
             if other != name and taken and taken.resolve() == path.resolve():
                 raise typer.BadParameter(f"{other} and {name} both name {path}; give two names")
         check_target(path, force=self.force)
+
+
+def target_of(path: Path | None, *, wanted: bool) -> Path | None:
+    """The path of --output; None where it names stdout, which does not do for a folder that is `wanted`."""
+    if str(path) not in STDOUT:
+        return path
+    if wanted:
+        raise typer.BadParameter(f"--output {path}: this command fills a folder; give its name")
+    return None
 
 
 def _option(kind: Any, *names: str, text: str, metavar: str | None = None) -> Any:

@@ -345,8 +345,10 @@ def first_screen(answers: Sequence[str], tables: Sequence[TextTable], width: int
     rows = len(main.shown)
     fewer = (shown(rows, notes) for notes in range(NOTES, 0, -1))
     lines = next((some for some in fewer if len(answer) + len(some) < SCREEN), None) or shown(rows, 0)
-    while rows and (over := len(answer) + len(lines) + 1 - SCREEN) > 0:
-        rows = max(rows - over, 0)
+    if len(answer) + len(lines) + 1 > SCREEN:
+        rows = min(rows, SCREEN)
+    while rows > 1 and len(answer) + len(lines) + 1 > SCREEN:
+        rows -= 1  # a row takes several lines where its text is long
         lines = shown(rows, 0)
     cut = f"{main.count - rows} more rows, " if rows < main.count else ""
     last = f"{cut}{len(whole) - len(lines)} more lines: --verbose; every number: --json or --csv"

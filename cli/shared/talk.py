@@ -18,6 +18,8 @@ UNTRUSTED = 3
 """Exit code: there is an answer, which is doubtful or a no-go."""
 NO_FILES = 4
 """Exit code: a pattern or folder named no file to read."""
+CLOSED = 141
+"""Exit code: nobody reads the answer any more (`| head`); that of other programs, 128 and SIGPIPE, 13."""
 LINE_EVERY_S = 60.0
 """Between lines of progress in a log. [s]"""
 _heard = [int(signal.SIGINT)]

@@ -99,7 +99,7 @@ def _best(match: RockMatch) -> float:
 def _craters_table(match: RockMatch, notes: Sequence[str]) -> TextTable:
     from lunarsci.spectra.origin.match import OTHER
 
-    headers = ["crater", "distance [km]", "azimuth [deg]", "ejecta [m]", "main route", "ln BF", "prior", "posterior"]
+    headers = ["name", "distance [km]", "azimuth [deg]", "ejecta [m]", "main route", "ln BF", "prior", "posterior"]
     headers.append("compared")
     ordered = sorted(match.craters, key=lambda item: item.posterior, reverse=True)
     rows = [_crater_row(item) for item in ordered]

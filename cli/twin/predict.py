@@ -70,10 +70,10 @@ def predict(
 ) -> Report:
     """Drive a plan over many soils and say whether it stays within the limits: go; no-go or not determined, exit 3.
 
-    The rule: 95 % of the drives keep each limit, all end, and none enters ground to keep out of, empties the battery or
-    has ground of unknown height below its body. Limits that a plan leaves out are the rover's own. Where neither plan,
-    terrain nor --soil states a soil, it is drawn from the priors. A plan of `twin plan --risk` carries the accepted
-    risk; it is go where the probability to break any limit or not to end is at most that.
+    The rule: 95 % of the drives keep each limit, all end, and none enters ground to keep out of, runs its battery empty
+    or passes with its body over ground of unknown height. Limits that a plan leaves out are the rover's own. Where
+    neither plan, terrain nor --soil states a soil, it is drawn from the priors. A plan of `twin plan --risk` carries
+    the accepted risk; it is go where the probability to break any limit or not to end is at most that.
 
     -o DIR writes wheel states and forces to states.csv, paths to paths.csv, ends to endpoints.csv, the spread of all
     quantities against distance to profiles.csv, and prediction.json for `twin compare`. A plan of `twin plan` is driven

@@ -6,7 +6,7 @@ import importlib
 import inspect
 import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -59,18 +59,27 @@ def attributes_in(docstring: str) -> dict[str, str]:
 
 
 @cache
-def attributes_of(area: str) -> dict[str, tuple[str, str]]:
-    """Name to unit and meaning, as the public classes of `lunarsci/AREA` say it, those of its jobs first."""
+def described(area: str) -> list[dict[str, tuple[str, str]]]:
+    """Of each public class of `lunarsci/AREA`, those of jobs first: attribute to unit and meaning, as JSON has it."""
     folder = Path(__file__).parents[2] / "lunarsci" / area
-    found: dict[str, tuple[str, str]] = {}
+    classes = []
     for path in sorted(folder.rglob("*.py"), key=lambda path: (path.parent.name != "jobs", path)):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-            if not isinstance(node, ast.ClassDef) or node.name.startswith("_"):
-                continue
-            if text := ast.get_docstring(node, clean=False):
-                for name, said in attributes_in(text).items():
-                    found.setdefault(name, unit_and_meaning(said))
-    return found
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                said = attributes_in(ast.get_docstring(node, clean=False) or "")
+                classes.append({name: unit_and_meaning(re.sub(r"\b(None|NaN)\b", "null", text))
+                                for name, text in said.items()})  # fmt: skip
+    return classes
+
+
+def attribute_beside(name: str, beside: Set[str], area: str) -> tuple[str, str]:
+    """Unit and meaning of a key of a result: of the class that describes most of the keys beside it.
+
+    Nothing where no class describes it and another of these keys, for the name alone does not say whose it is.
+    """
+    classes = [said for said in described(area) if name in said]
+    best = max(classes, key=lambda said: len(said.keys() & beside), default={})
+    return best[name] if len(best.keys() & beside) >= min(2, len(beside)) and best else ("", "")
 
 
 def unit_and_meaning(text: str) -> tuple[str, str]:

@@ -2,15 +2,17 @@
 
 import json
 import re
+import signal
+import sys
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any, get_args
 
 import typer
 from lunarsci.cli import command_line
-from pages_of_code import attributes_of, unit_and_meaning
+from pages_of_code import attribute_beside, unit_and_meaning
 
 from lunarsci.minerals import WITH_BANDS
 from lunarsci.units import UNITS, unit_of
@@ -240,32 +242,41 @@ NUMBER = re.compile(r"value|published|sigma|sd|mean|median|min|max|p\d+|(ground|
 
 
 @cache
-def written(area: str) -> dict[str, tuple[str, str]]:
-    """End of a key's path to unit and meaning, of those that `key_meanings.toml` has for an area of commands."""
+def written(table: str) -> dict[str, tuple[str, str]]:
+    """End of a key's path to unit and meaning, of those that `key_meanings.toml` has for a command or an area."""
     tables = tomllib.loads((ROOT / "docs/_extension/key_meanings.toml").read_text("utf-8"))
-    return {end: unit_and_meaning(text) for end, text in tables.get(area, {}).items()}
+    return {end: unit_and_meaning(text) for end, text in tables.get(table, {}).items()}
 
 
-def written_end(key: str, area: str) -> str:
-    """The longest end of a key's path that is written of; empty where none is."""
+def written_end(key: str, command: str) -> tuple[str, str]:
+    """The longest end of a key's path that is written of, with its table, the command's before its area's."""
     parts = key.replace("[]", "").split(".")
-    ends = (".".join(parts[first:]) for first in range(len(parts)))
-    return next((end for end in ends if end in written(area)), "")
+    for first in range(len(parts)):
+        for table in (command, command.split()[0]):
+            for end in written(table):
+                names = end.split(".")
+                if len(names) == len(parts) - first and all(
+                    name in ("*", part) for name, part in zip(names, parts[first:], strict=True)
+                ):
+                    return table, end
+    return "", ""
 
 
-def _meaning(key: str, known: dict[str, tuple[str, str]], area: str) -> tuple[str, str]:
+def _meaning(key: str, known: dict[str, tuple[str, str]], command: str, beside: set[str]) -> tuple[str, str]:
     """Unit and meaning of a key: written of it, of the glossary, of its ending, of the code, or of its part."""
     parts = [part.removesuffix("[]") for part in key.split(".")]
-    name, said = parts[-1], attributes_of(area)
-    if end := written_end(key, area):
-        unit, meaning = written(area)[end]
+    name, area = parts[-1], command.split()[0]
+    table, end = written_end(key, command)
+    if end:
+        unit, meaning = written(table)[end]
         return unit or unit_of(name), meaning
     if name in known:
         return known[name]
     for ending, text in ENDINGS.items():
         for bare in (name.removesuffix(ending), name.replace(ending + "_", "_", 1)):
-            if bare != name and (found := known.get(bare) or said.get(bare) or written(area).get(bare)):
-                return found[0], f"{text}: {found[1]}"
+            said = attribute_beside(bare, {bare, *beside}, area)
+            if bare != name and (result := known.get(bare) or (said if said[1] else written(area).get(bare))):
+                return result[0], f"{text}: {result[1]}"
     above = next((one for one in reversed(parts[:-1]) if one in known or unit_of(one)), "")
     name = name if name in PARTS else re.sub(r"^(p5|p05|p50|p95)_\w+$", r"\1", name)
     if name in PARTS:
@@ -273,12 +284,22 @@ def _meaning(key: str, known: dict[str, tuple[str, str]], area: str) -> tuple[st
         single = area == "regolith" and parts[0] in SINGLE_STATES
         meaning = PARTS[name].replace("68 %", "95 %") if single else PARTS[name]
         return unit, f"{meaning} (of `{above}`)" if above else meaning
-    unit, meaning = said.get(name, ("", ""))
+    unit, meaning = attribute_beside(name, beside, area)
     return unit_of(name) or unit, meaning
 
 
-def keys_text() -> str:
-    """Keys of `--json` by command, as its recorded answers have them, with units and meanings."""
+def _beside(keys: Iterable[str]) -> dict[str, set[str]]:
+    """Path of a part of a result to the names of the keys in it, those that have parts of their own too."""
+    names: dict[str, set[str]] = {}
+    for key in keys:
+        parts = key.replace("[]", "").split(".")
+        for count, name in enumerate(parts):
+            names.setdefault(".".join(parts[:count]), set()).add(name)
+    return names
+
+
+def keys_text(command: str = "") -> str:
+    """Keys of `--json` of a command, or of all, as recorded answers have them, with units and meanings."""
     known = meanings()
     answers = json.loads((ROOT / "tests/former_results.json").read_text("utf-8"))["answers"]
     texts = [file.read_text("utf-8") for file in (ROOT / "tests/cli").glob("test_*.py")]
@@ -289,14 +310,16 @@ def keys_text() -> str:
     found: dict[str, dict[str, None]] = {}
     for name, answer in answers.items():
         line = lines.get(name, "")
-        if path := next((path for path in paths if line.startswith(path)), None):
+        path = next((path for path in paths if line.startswith(path)), "")
+        if path and path.startswith(command):
             found.setdefault(path, {}).update(dict.fromkeys(_keys(answer["result"])))
     parts = []
     for path in sorted(found):
-        rows = []
+        rows, beside = [], _beside(found[path])
         for key in sorted(found[path]):
-            unit, meaning = _meaning(key, known, path.split()[0])
-            rows.append(f"| `{key}` | {unit} | {meaning} |")
+            above = key.replace("[]", "").rpartition(".")[0]
+            unit, meaning = _meaning(key, known, path, beside[above])
+            rows.append(f"| `{key}` | {unit} | {meaning} |".replace("|s|", r"\|s\|"))
         parts.append(
             f"## `lunarsci {path}`\n\n| key of `result` | unit | meaning |\n| --- | --- | --- |\n" + "\n".join(rows)
         )
@@ -307,3 +330,8 @@ def units_text() -> str:
     """The endings of keys and columns that say the unit."""
     rows = [f"| `_{ending}` | {unit or 'kPa m⁻ᴺ'} |" for ending, unit in UNITS.items()]
     return "\n".join(["| ending | unit |", "| --- | --- |", *rows])
+
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGPIPE, signal.SIG_DFL)
+    sys.stdout.write(f"{keys_text(' '.join(sys.argv[1:]))}\n")

@@ -26,6 +26,8 @@ from lunarsci.io.inputs import (
     InputStream,
     beginning,
     csv_rows,
+    expand_inputs,
+    no_data,
     open_input,
     read_input,
     read_json,
@@ -114,6 +116,8 @@ assumed."""
 STARTS_WITH_NUMBER = re.compile(r"\s*[+-]?[0-9]+([.,][0-9]*)?([eE][+-]?[0-9]+)?\s*[;,\t ]")
 LONG_TELEMETRY_BYTES = 1 << 26
 """Bytes from which on telemetry is read in pieces."""
+NAMED = 5
+"""Files of a folder that are named."""
 Description: TypeAlias = tuple[str, str, Mapping[str, Any], str]
 """Kind, SHA-256, contents and trouble."""
 SUFFIXES = {
@@ -129,7 +133,7 @@ class FileInfo(Result):
     Attributes
     ----------
     file, sha256 : which.
-    kind : one of `KINDS`.
+    kind : one of `KINDS`; of a folder without a result `folder`, whose `contents` are its files by kind.
     contents : what its reader finds in it, by words.
     trouble : why its reader refuses it; '' if it does not.
     remarks : what its reader warns of.
@@ -149,7 +153,7 @@ class FileInfo(Result):
 
     @property
     def made_from(self) -> MadeFrom:
-        return MadeFrom(inputs={self.file: self.sha256})
+        return MadeFrom(inputs={self.file: self.sha256} if self.sha256 else {})
 
     @property
     def doubt(self) -> Doubt:
@@ -196,9 +200,7 @@ def info(path: str | Path) -> FileInfo:
         return FileInfo(file=name, sha256=rover.sha256, kind="rover", contents=CONTENTS["rover"](rover))
     if folder.is_dir():
         if not (folder / "result.json").is_file():
-            raise DataError(
-                f"{name}: a folder without result.json; name one of its {len(list(folder.iterdir()))} files"
-            )
+            return _folder(name)
         name = str(folder / "result.json")
     stored = None
     with warnings.catch_warnings(record=True) as heard:
@@ -214,6 +216,22 @@ def info(path: str | Path) -> FileInfo:
         file=name, sha256=sha256, kind=kind, contents=contents, trouble=trouble, remarks=remarks, further=further,
         stored=stored,
     )  # fmt: skip
+
+
+def _folder(name: str) -> FileInfo:
+    """What the files of a folder are, by kind. Raises NoFilesError for one that has none."""
+    files: dict[str, list[str]] = {}
+    for path in expand_inputs([name], all_files=True):
+        try:
+            kind = kind_of(read_input(path))
+        except LunarSciError:
+            kind = "unknown"
+        kind = "unknown" if kind in ("spectra", "table") and no_data(path) else kind
+        files.setdefault(kind, []).append(Path(path).name)
+    contents = {kind: f"{len(names)}: {some_of(names, NAMED)}" for kind, names in sorted(files.items())}
+    kinds = [kind for kind in files if kind in KINDS]
+    further = KINDS[kinds[0]].commands if len(kinds) == 1 else ()
+    return FileInfo(file=name, sha256="", kind="folder", contents=contents, further=further)
 
 
 def _read(file: InputFile) -> Description:
@@ -560,7 +578,7 @@ def _rover(file: InputFile) -> Mapping[str, Any]:
     keys = [*description.assumed, *left]
     contents |= {"assumed numbers": f"{len(keys)}: {_listed(keys)}" if keys else 0}
     if left:
-        contents["taken as usual, for want of a number"] = ", ".join(f"{key} {getattr(wheel, key):g}" for key in left)
+        contents["not in the file, taken as"] = ", ".join(f"{key} {getattr(wheel, key):g}" for key in left)
     if "suspension" not in description.tables:
         return contents | {"parts": WHEEL_ALONE}
     rover = build_rover(description)
@@ -578,13 +596,13 @@ def _as_in_template(rover: RoverDescription) -> dict[str, str]:
         table, _, name = key.partition(".")
         template = read_rover(of).tables.get(table, {}) if of in rover_names() else {}
         if key in numbers and numbers[key] == template.get(name):
-            asked.setdefault(f"[{table}] as of {of}", []).append(name)
+            asked.setdefault(f"[{table}] still as in {of}", []).append(name)
     if sum(map(len, asked.values())) == len(numbers):
         return {}
     whole = {title: len(keys) == sum(key.startswith(f"{title[1:].partition(']')[0]}.") for key in numbers)
              for title, keys in asked.items()}  # fmt: skip
     return {
-        title: f"{'all' if whole[title] and len(keys) > 1 else ', '.join(keys)}: this rover's?"
+        title: f"{'all' if whole[title] and len(keys) > 1 else ', '.join(keys)}; check that they are this rover's"
         for title, keys in asked.items()
     }
 

@@ -81,6 +81,8 @@ def read_grid(
     """
     file, end = Path(path), Path(path).suffix.lower()
     arguments, how = (file, tuple(layers), tuple(unread)), dict[str, Any](onto=onto, values=values)
+    if str(path) == "-":
+        raise DataError("-: heights are not read from stdin; give a file, whose name says how, such as site.asc")
     try:
         if is_netcdf(file):
             grid = read_netcdf(file, **how)

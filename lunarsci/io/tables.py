@@ -269,9 +269,9 @@ def check_columns(
     columns: Iterable[str],
     expected: Sequence[str],
     needed: Sequence[str] = (),
-    called: Mapping[str, str] | None = None,
+    written: Mapping[str, str] = MappingProxyType({}),
 ) -> list[str]:
-    """Names of the columns that are not known; `called` says what the file calls some of those that are.
+    """Names of the columns that are not known; `written` are names in the file of those that were renamed.
 
     Raises DataError for one that is needed and missing, and for one that is nearly a known one, such as `sinkage_mm`:
     it would be left out without a word.
@@ -279,9 +279,9 @@ def check_columns(
     present = list(columns)
     unused = [name for name in present if name not in expected]
     if missing := next((name for name in needed if name not in present), None):
-        listed = [f"{(called or {})[name]} as {name}" if name in (called or {}) else name for name in present]
         guess = difflib.get_close_matches(missing, unused, n=1)
-        hint = f"is it '{guess[0]}'? rename it" if guess else f"there are: {', '.join(listed)}"
+        there = ", ".join(written.get(name, name) for name in present)
+        hint = f"is it '{guess[0]}'? rename it" if guess else f"there are: {there}"
         raise DataError(f"{file}: no column {missing}; {hint}")
     for name in unused:
         near = difflib.get_close_matches(name.lower(), expected, n=1, cutoff=ALIKE)

@@ -116,12 +116,16 @@ class SavedBlocks:
             raise OutputError(f"{self._file(block)}: was changed; give the same command again") from error
 
     def close(self, *, remove: bool) -> None:
-        """Let others at it, or take it away. What cannot be taken away does no harm."""
-        if remove:
-            shutil.rmtree(self.folder, ignore_errors=True)
-            with contextlib.suppress(OSError):
-                self.folder.parent.rmdir()
+        """Let others at it, or take it away, as where no block is done. What cannot be taken away does no harm."""
+        if remove or not self.done:
+            self.clear()
         self._header.close()
+
+    def clear(self) -> None:
+        """Take it away."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+        with contextlib.suppress(OSError):
+            self.folder.parent.rmdir()
 
     @contextlib.contextmanager
     def _disk(self) -> Iterator[None]:
@@ -243,6 +247,12 @@ class Computing:
         """How many blocks are saved, one sentence for each folder that has some."""
         return [saved.note for saved in self._saved if saved.done]
 
+    def clear_empty(self) -> None:
+        """Take away folders of blocks that have none yet, as the process ends."""
+        for saved in self._saved:
+            if not saved.done:
+                saved.clear()
+
     def close(self, *, done: bool) -> None:
         """Leave the scheduler, and the folders of done blocks, which are of no more use if all is `done`."""
         if self._client is not None:
@@ -295,7 +305,9 @@ def computing(
 
 
 def what_is_saved() -> list[str]:
-    """How many blocks of whatever this process computes are saved, one sentence a folder; of use as it ends."""
+    """How many blocks of whatever this process computes are saved, one sentence a folder; others go, as it ends."""
+    for here in list(_UNDER_WAY):
+        here.clear_empty()
     return [text for here in list(_UNDER_WAY) for text in here.notes()]
 
 

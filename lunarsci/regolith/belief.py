@@ -30,6 +30,8 @@ from lunarsci.regolith.wheel import Wheel
 
 SCHEMA = "lunarsci/soil-belief/1"
 """Of the file of a belief; other versions are refused."""
+OF_STATES = "lunarsci/regolith-identify/"
+"""How the schema of results of wheel states begins."""
 ASYMMETRY = 1e-9
 """By which correlations may differ from those across the diagonal: rounding. [-]"""
 FARTHEST_WIDTHS = 6.0
@@ -303,10 +305,37 @@ def first_belief(laws: Mapping[str, Law] | None = None) -> SoilBelief:
     return SoilBelief(laws, np.array([law.center for law in laws.values()]), np.diag(widths**2))
 
 
+def belief_of_posterior(joint: Mapping[str, Any]) -> SoilBelief:
+    """The normal law about the medians of what `regolith infer` calls `joint`, with its verdict.
+
+    Raises KeyError, TypeError or ParameterError for what is no such posterior.
+    """
+    records, size = joint["parameters"], len(PARAMETERS)
+    laws = {name: Law(**records[name]["prior"]) for name in PARAMETERS}
+    sd = np.array([(1 - float(records[name]["shrinkage"])) * law.width for name, law in laws.items()])
+    mean = np.array([float(law.transformed(np.array(records[name]["median"]))) for name, law in laws.items()])
+    correlation = np.array(joint["correlation"])[:size, :size]
+    return SoilBelief(laws, mean, correlation * np.outer(sd, sd), verdict=verdict_of(joint.get("verdict")))
+
+
+def _belief_of_result(document: Mapping[str, Any]) -> SoilBelief:
+    """Of the JSON of `regolith infer`, whose doubt goes with it. Raises ParameterError for that of `identify`."""
+    result = document["result"]
+    single = "a result of `regolith identify`, which solves single states and leaves the other parameters open"
+    refuse({f"{single}; give what `lunarsci regolith infer STATES.csv -o soil.json` writes": "joint" not in result})
+    belief, untrusted = belief_of_posterior(result["joint"]), document.get("provenance", {}).get("untrusted", "")
+    if not untrusted or belief.verdict is None or not belief.verdict.trusted:
+        return belief
+    return replace(belief, verdict=replace(belief.verdict, trusted=False, reason=untrusted))
+
+
 def belief_of(document: Mapping[str, Any]) -> SoilBelief:
-    """The belief of a parsed document. Raises ParameterError for what is none."""
-    ours = isinstance(document, Mapping) and document.get("schema") == SCHEMA
-    refuse({f"not a soil belief; its schema must be {SCHEMA}": not ours})
+    """The belief of a parsed document, also of a result of `regolith infer`. Raises ParameterError for what is none."""
+    schema = str(document.get("schema", "")) if isinstance(document, Mapping) else ""
+    if schema.startswith(OF_STATES):
+        with named("", ParameterError):
+            return _belief_of_result(document)
+    refuse({f"not a soil belief; its schema must be {SCHEMA}": schema != SCHEMA})
     with named("", ParameterError):
         laws = {name: Law(**document["laws"][name]) for name in document["order"]}
         mean, covariance = (np.array(document[key], dtype=np.float64) for key in ("mean", "covariance"))

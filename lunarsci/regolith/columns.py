@@ -193,16 +193,16 @@ class NamedColumns:
     read_as : what was converted, and by what.
     unitless : columns that name no unit.
     answered : columns whose unit the option has said.
-    called : what the file calls columns that it calls otherwise, by their own names.
     questions : what to ask of a column that names no unit.
+    written : names in the file of columns that were renamed, by their own.
     """
 
     table: "pd.DataFrame"
     read_as: tuple[str, ...] = ()
     unitless: tuple[str, ...] = ()
     answered: tuple[str, ...] = ()
-    called: Mapping[str, str] = field(default_factory=dict)
     questions: tuple[Question, ...] = ()
+    written: Mapping[str, str] = field(default_factory=dict)
 
 
 def asked_units(units: str) -> dict[str, str]:
@@ -259,7 +259,8 @@ def named_columns(file: str, table: "pd.DataFrame", names: Sequence[str], units:
         load, share = (numbers_of(file, name, done[name]) for name in ("normal_force_n", what.target))
         done[what.target] = _cells(load * share)
     unitless = [what.column for what in columns.values() if not what.unit and not what.sigma]
-    return NamedColumns(done, tuple(notes), tuple(one for one in unitless if one not in asked), tuple(asked), source)
+    open_ones = tuple(one for one in unitless if one not in asked)
+    return NamedColumns(done, tuple(notes), open_ones, tuple(asked), written=source)
 
 
 def _converted(what: ColumnMeaning, unit: str, values: FloatArray) -> FloatArray:

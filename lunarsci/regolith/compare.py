@@ -14,8 +14,8 @@ import numpy as np
 from lunarsci.arrays import FloatArray
 from lunarsci.io.tables import table_hashes, table_rows
 from lunarsci.ranges import check_each, refuse
-from lunarsci.regolith.belief import SoilBelief
-from lunarsci.regolith.prior import DETERMINED, PARAMETERS, Law
+from lunarsci.regolith.belief import SoilBelief, belief_of_posterior
+from lunarsci.regolith.prior import DETERMINED, PARAMETERS
 from lunarsci.regolith.soil import RANGES
 from lunarsci.regolith.wheel import RANGES as WHEEL_RANGES
 
@@ -150,13 +150,8 @@ class OpenSite:
 def open_site(result: Mapping[str, Any]) -> OpenSite:
     """What the `result` of `regolith infer` leaves open, as a normal law about its medians. Raises as `site_of`."""
     joint = result["joint"]
-    records, size = joint["parameters"], len(PARAMETERS)
-    laws = {name: Law(**records[name]["prior"]) for name in PARAMETERS}
-    left = {name: 1 - float(records[name]["shrinkage"]) for name in PARAMETERS}
-    sd = np.array([left[name] * laws[name].width for name in PARAMETERS])
-    mean = np.array([float(law.transformed(np.array(records[name]["median"]))) for name, law in laws.items()])
-    correlation = np.array(joint["correlation"])[:size, :size]
-    return OpenSite(SoilBelief(laws, mean, correlation * np.outer(sd, sd)), left)
+    left = {name: 1 - float(joint["parameters"][name]["shrinkage"]) for name in PARAMETERS}
+    return OpenSite(belief_of_posterior(joint), left)
 
 
 def site_of(result: Mapping[str, Any]) -> tuple[Site, dict[str, Any]]:

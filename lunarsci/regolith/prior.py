@@ -214,6 +214,7 @@ class Question:
     usual : the middle of what such numbers are.
     likely_unit : in which it would be likely; '' where none explains it.
     option : what settles it.
+    unitless : whether it is asked because its column names no unit, not because the number is unusual.
     """
 
     quantity: str
@@ -221,11 +222,14 @@ class Question:
     usual: float
     likely_unit: str
     option: str
+    unitless: bool = False
 
     @property
     def doubt(self) -> str:
         """What to ask, without what settles it."""
         likely = f"is it in {self.likely_unit}?" if self.likely_unit else "is it meant so?"
+        if self.unitless:
+            return f"the column names no unit, and {self.quantity} is {self.value:.3g}; {likely}"
         return f"{self.quantity} is {self.value:.3g}, where about {self.usual:.3g} is usual; {likely}"
 
     def __str__(self) -> str:

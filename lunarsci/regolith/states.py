@@ -81,7 +81,7 @@ def likely_sinkage_unit(median: float, wheel: Wheel) -> tuple[str, Question | No
     if low[likely] + math.log(SLIPS_OF_UNITS) > low[other]:
         return likely, None
     usual = SINKAGE.median * wheel.radius_m / LENGTHS[likely]
-    return likely, Question("median sinkage", median, usual, likely, f"{OPTION} sinkage_m={likely}")
+    return likely, Question("median sinkage", median, usual, likely, f"{OPTION} sinkage_m={likely}", unitless=True)
 
 
 def likely_slip(slip: FloatArray) -> str:
@@ -168,7 +168,7 @@ def _of_load(middle: float, law: Law, unitless: Collection[str]) -> Question | N
     units = LOAD_UNITS | ({} if named else {"kgf": FORCES["kgf"], "lbf": FORCES["lbf"]})
     query = question("median normal_force_n", middle, law, units)
     if query is None and not named:
-        query = Question("median normal_force_n", middle, law.median, "N", OPTION)
+        query = Question("median normal_force_n", middle, law.median, "N", OPTION, unitless=True)
     return query and replace(query, option=f"{OPTION} normal_force_n={query.likely_unit or 'N'}")
 
 
@@ -321,8 +321,8 @@ def read_state_table(
         )
     if wheels and "time_s" in columns and "wheel" not in columns:
         raise DataError(f"{file}: no column wheel; of telemetry, `lunarsci twin states` makes the states of each wheel")
-    needed = (*(("time_s", "wheel") if wheels else ()), *needed)
-    unused = check_columns(file, columns, EVERY_COLUMN, needed, named.called)
+    needs = (*(("time_s", "wheel") if wheels else ()), *needed)
+    unused = check_columns(file, columns, EVERY_COLUMN, needs, named.written)
     if not any(name in columns for name in measured):
         raise DataError(f"{file}: no measured column; there can be {', '.join(measured)}")
     if not any_wheel:
@@ -480,7 +480,7 @@ def _with_slip(read: StateTable) -> tuple[StateTable, tuple[Question, ...]]:
     values[:, 1] = by_travel(slip) if unit == TRAVEL else by_rim(slip) if unit == "rim" else SHARES[unit] * slip
     worst = float(slip[read.valid][np.nanargmax(np.abs(slip[read.valid]))])
     meaning = {"%": "%", TRAVEL: "r w / v - 1", "rim": "1 - v / (r w), in skid too"}[unit]
-    query = Question("slip_ratio", worst, USUAL_SLIP, meaning, f"{OPTION} slip_ratio={unit}")
+    query = Question("largest slip_ratio", worst, USUAL_SLIP, meaning, f"{OPTION} slip_ratio={unit}")
     return replace(read, values=values), (query,)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.constants import GRAVITIES, LUNAR_GRAVITY
+from lunarsci.constants import LUNAR_GRAVITY, gravity_of
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
 from lunarsci.io.documents import record_of
 from lunarsci.names import one_of
@@ -328,11 +328,7 @@ def with_gravity(rover: Rover, gravity: str | None) -> Rover:
     """
     if gravity is None:
         return rover
-    tabulated = GRAVITIES.get(gravity.strip().lower())
-    try:
-        return replace(rover, gravity_m_s2=float(gravity) if tabulated is None else tabulated.value)
-    except ValueError as error:
-        raise ParameterError(f"gravity is '{gravity}'; give {', '.join(GRAVITIES)}, or m/s2 above 0") from error
+    return replace(rover, gravity_m_s2=gravity_of(gravity))
 
 
 def build_rover(rover: str | RoverDescription, *, varied: bool = False) -> Rover:

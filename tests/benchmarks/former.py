@@ -348,6 +348,13 @@ def frozen(part: str) -> dict[str, Any]:
     return unfolded(json.loads(FROZEN.read_text("utf-8"))[part])
 
 
+def files_of(folder: Path, name: str) -> list[str]:
+    """Files in the folder of `-o` of a command, those that are numbered left out; none where it writes none."""
+    made = re.search(r" -o ([\w-]+)$", COMMANDS[name])
+    files = (folder / made[1]).iterdir() if made and (folder / made[1]).is_dir() else ()
+    return sorted(file.name for file in files if not re.search(r"\d", file.name))
+
+
 SAID_OTHERWISE = ("what calibration errors add to the ratios is not determined at 1 µm",)
 """What the status of a fit says of its bands already: what calibration errors do to them is not determined."""
 VERDICT = re.compile(
@@ -388,6 +395,10 @@ class Answers:
     def test_columns_of_its_csv_are_still_there(self, name: str, now: dict[str, dict[str, Any]]) -> None:
         """Those of the first release: `tests/test_stability.py`."""
         assert {*frozen("columns").get(name, ())} <= {*COLUMNS[name]}
+
+    def test_files_of_its_folder_are_still_there(self, name: str, now: dict[str, Any], folder: Path) -> None:
+        """Those of the first release, by name: `tests/test_stability.py`."""
+        assert {*frozen("folders").get(name, ())} <= {*files_of(folder, name)}
 
     def test_a_page_says_what_the_command_says(self, name: str, now: dict[str, Any], folder: Path) -> None:
         """Every verdict of the tables for people, and of stderr, stands on the page; so does no better one."""

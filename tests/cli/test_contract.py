@@ -323,7 +323,7 @@ def test_a_batch_goes_on_past_bad_inputs_and_exits_1(run, rock: Path, bad_spectr
     assert [s["id"] for s in json.loads(done.out)["result"]["spectra"]] == ["synthetic_rock"]
     assert sum(line.startswith("error: ") for line in done.err) == 2
     empty, missing = (str(bad_spectra[name]) for name in ("empty.csv", "missing.csv"))
-    assert done.err[-1].startswith(f"1 spectrum with a result, 2 inputs without: {empty}, {missing}; ")
+    assert done.err[-1].startswith(f"1 spectrum with a result, 2 inputs without: {empty}, {missing} (--failed FILE")
     listed = run("spectra", "bands", empty, rock, missing, "--field", "provenance.failures")
     assert listed.code == 1
     assert [why.split(": ")[0] for why in json.loads(listed.out)] == [empty, missing]

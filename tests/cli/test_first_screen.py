@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from lunarsci.cli.shared.table import TextTable, first_screen
 
 SCREENS = {
     "bands": "spectra bands rock.ecsv",
@@ -66,3 +67,11 @@ def test_a_file_whose_name_tells_no_form_is_said_to_be_text(run, tmp_path: Path)
     assert "as text; .txt, .md, .tsv, .tex, .csv, .json at the end of its name give other forms" in said[".xyz"]
     assert said[".txt"].endswith("forces.txt") and said[".md"].endswith("forces.md")
     assert (tmp_path / "forces.xyz").read_bytes() == (tmp_path / "forces.txt").read_bytes()
+
+
+def test_rows_of_several_lines_are_shown_as_far_as_there_is_room() -> None:
+    """As of rocks with a long verdict each: some rows, not the heading alone."""
+    rows = [[f"rock {k}", f"verdict {k}: {'not decided, many remain, ' * 8}"] for k in range(8)]
+    lines = first_screen(["Of 8 rocks 8: not decided."], [TextTable(["rock", "status"], rows)], 80).splitlines()
+    assert sum(line.startswith("rock ") for line in lines[2:]) > 2 and "more rows" in lines[-1]
+    assert len(lines) <= 24

@@ -111,15 +111,19 @@ def test_a_rover_that_comes_along_is_a_file_to_begin_with(tmp_path: Path) -> Non
     body = next(line for line in own.splitlines() if line.startswith("body_kg"))
     torque = next(line for line in own.splitlines() if line.startswith("continuous_torque_nm"))
     told = info_of(own.replace(body, "body_kg = 20.0").replace(torque, "continuous_torque_nm = 2.0"), path)
-    assert told["[power] as of yutu2"].startswith("all:")
-    assert "stall_torque_nm, no_load" in told["[motors] as of yutu2"] and "body_kg" not in told["[mass] as of yutu2"]
+    assert told["[power] still as in yutu2"].startswith("all;")
+    assert (
+        "stall_torque_nm, no_load" in told["[motors] still as in yutu2"]
+        and "body_kg" not in told["[mass] still as in yutu2"]
+    )
     meant = [line for line in own.splitlines() if line.startswith(("wheel_kg", "body_center_m"))]
     for line in meant:  # the same numbers, but written by the user
         own = own.replace(line, re.sub(r"\{ value = (.*), source = .*\}", r"\1", line))
     told = info_of(own.replace(body, "body_kg = { value = 20.0, source = 'weighed' }"), path)
-    assert told["[mass] as of yutu2"] == "body_inertia_kg_m2: this rover's?"
+    assert told["[mass] still as in yutu2"] == "body_inertia_kg_m2; check that they are this rover's"
     changed = own.replace(body, body.replace("105.0", "20.0"))  # another number, the template's source left
-    assert changed != own and info_of(changed, path)["[mass] as of yutu2"] == "body_inertia_kg_m2: this rover's?"
+    same = info_of(changed, path)["[mass] still as in yutu2"]
+    assert changed != own and same == "body_inertia_kg_m2; check that they are this rover's"
 
 
 def info_of(text: str, path: Path) -> Mapping[str, Any]:
@@ -156,8 +160,8 @@ def test_every_kind_is_told_somehow_and_says_what_is_in_it() -> None:
         "table",
         "camera",
     }
-    assert told == KINDS.keys()
-    assert KINDS.keys() - CONTENTS.keys() == {"mgm", "config", "zones"}
+    assert told == KINDS.keys() - {"folder"}
+    assert KINDS.keys() - CONTENTS.keys() == {"mgm", "config", "zones", "folder"}
 
 
 def test_commands_that_info_names_exist() -> None:
@@ -257,8 +261,7 @@ def test_what_commands_would_refuse_is_said(tmp_path: Path) -> None:
         info(written(tmp_path, "a.json", "{}"))
     with pytest.raises(DataError, match="no such file"):
         info(tmp_path / "nowhere.csv")
-    with pytest.raises(DataError, match=r"without result\.json"):
-        info(tmp_path)
+    assert info(tmp_path).contents == {"plan": "1: plan.toml", "unknown": "1: a.json"}
 
 
 SOURCES = (

@@ -192,7 +192,7 @@ def test_pages_of_a_picture_are_no_warning_about_a_result() -> None:
     assert answer(made).trust == "The command found nothing against this result."
     assert not any(".png" in line for line in unknown(made))
     pages.append("plan.toml has no [limits]")
-    assert "gave 1 warning, below" in answer(made).trust and "plan.toml has no [limits]" in unknown(made)
+    assert "it gave 1 warning" in answer(made).trust and "plan.toml has no [limits]" in unknown(made)
 
 
 def test_a_share_of_no_determined_value_is_not_told() -> None:

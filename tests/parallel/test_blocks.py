@@ -24,6 +24,7 @@ from lunarsci.parallel.blocks import (
     memory_in_use,
     rows_in_memory,
     run_blocks,
+    what_is_saved,
 )
 
 TOTAL, ROWS = 4000, 50
@@ -97,6 +98,21 @@ def test_an_error_of_a_block_is_passed_on_and_says_what_was_kept(tmp_path: Path)
     with computing(keep=tmp_path / "out.csv", notify=told.append):
         collected()
     assert len(told) == 1, "nothing of a run that begins"
+
+
+def test_nothing_is_left_of_what_had_no_block_yet(tmp_path: Path) -> None:
+    """Then `interrupted; nothing was written` is true, also where the process ends without unwinding."""
+
+    def at_once(block: range) -> dict[str, Any]:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt) as caught, computing(keep=tmp_path / "out.csv"):
+        collected(at_once)
+    assert getattr(caught.value, "__notes__", []) == [] and list(tmp_path.iterdir()) == []
+    with computing(keep=tmp_path / "out.csv") as here:
+        here._saved.append(SavedBlocks(here.folder_of("squares"), ABOUT, TOTAL, ROWS))
+        assert (tmp_path / "out.csv.partial").is_dir()
+        assert what_is_saved() == [] and list(tmp_path.iterdir()) == []
 
 
 def test_blocks_for_other_options_are_refused_with_what_differs(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
+from lunarsci.constants import gravity_of
 from lunarsci.io.inputs import Source, read_input
 from lunarsci.options import request_of
 from lunarsci.regolith.columns import written_for
@@ -30,7 +31,10 @@ if TYPE_CHECKING:
 def wheel_law_of(request: InferRequest) -> WheelLaw:
     """The law that the options name."""
     model = ContactModel(
-        shear=request.shear, bulldozing=request.bulldozing, density_kg_m3=request.density, gravity_m_s2=request.gravity
+        shear=request.shear,
+        bulldozing=request.bulldozing,
+        density_kg_m3=request.density,
+        gravity_m_s2=float(request.gravity),
     )
     return WheelLaw(model if request.exact or request.beyond else None, request.contact)
 
@@ -143,7 +147,7 @@ def _posterior(
     prior = read_prior(source, contact=asked.contact or chooses) if source else None
     law, scores = wheel_law_of(asked), list[Any]()
     if chooses:
-        laws = candidates(given.states, asked.density, asked.gravity)
+        laws = candidates(given.states, asked.density, float(asked.gravity))
         law, scores = compare_laws(
             given.states, given.wheel, laws, prior, model_error=asked.model_error, progress=progress
         )
@@ -160,6 +164,6 @@ def _posterior(
         progress=progress,
     )
     whose = written_for(given.called or given.rover, given.wheel)
-    verdict = replace(posterior.verdict, wheel=whose, gravity_m_s2=asked.gravity)
+    verdict = replace(posterior.verdict, wheel=whose, gravity_m_s2=gravity_of(asked.gravity))
     posterior = replace(posterior, disputed=disputed(posterior, scores), verdict=verdict)
     return posterior, scores, {source.name: source.sha256} if source else {}

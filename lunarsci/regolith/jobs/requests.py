@@ -6,8 +6,8 @@ The command line reads it at every start: it imports no module that computes.
 from dataclasses import dataclass
 from typing import Literal
 
-from lunarsci.constants import LUNAR_GRAVITY
-from lunarsci.errors import RequestError
+from lunarsci.constants import LUNAR_GRAVITY, gravity_of
+from lunarsci.errors import RequestError, within_option
 from lunarsci.ranges import refuse
 from lunarsci.regolith.wheel import DENSITY_KG_M3, Bulldozing, ShearLaw, ShearSign, SlipSinkageLaw
 
@@ -38,7 +38,7 @@ class WheelForcesRequest:
     shear : Strength along and across: each its own, or one shared along the velocity or the displacement.
     bulldozing : Soil against the side face, by Hegedus or by passive pressure.
     density : Soil density in kg/m³, for `bulldozing` and Reece's moduli.
-    gravity : Gravity in m/s², in Python also moon, mars or earth; for `bulldozing` and Reece's moduli.
+    gravity : Gravity: moon, mars, earth, or a number in m/s², for `bulldozing` and Reece's moduli.
     rebound : Share of the sinkage that springs back behind the wheel, 0-1.
     rut : Depth in m to which a wheel before has pressed the soil; needs `reload`.
     reload : Slope of loading in a rut in N/m³, k_0 of Wong's reloading line.
@@ -67,7 +67,7 @@ class WheelForcesRequest:
     shear: ShearLaw = "separate"
     bulldozing: Bulldozing = "none"
     density: float = DENSITY_KG_M3
-    gravity: float = LUNAR_GRAVITY.value
+    gravity: float | str = LUNAR_GRAVITY.value
     rebound: float | None = None
     rut: float = 0.0
     reload: float = 0.0
@@ -86,6 +86,8 @@ class WheelForcesRequest:
                 self.reece_cohesive is not None and self.stiffness is not None,
         }  # fmt: skip
         refuse(faults, kind=RequestError)
+        with within_option("gravity"):
+            object.__setattr__(self, "gravity", gravity_of(self.gravity))
         if isinstance(self.slip, str) and ":" not in self.slip:
             object.__setattr__(self, "slip", self.slips()[0])
 
@@ -137,7 +139,7 @@ class IdentifyRequest:
     side_slip_error : 1σ of the side slip, relative.
     sensitivity : How much of each variance comes from each measured quantity.
     units : Units of columns by COLUMN=UNIT with commas between: N, kN, kgf, lbf, of a pull load (its share of the
-        load); m, cm, mm, +0.004 (added to the sinkage, in m); of a slip rim (1 - v/rw), travel (rw/v - 1) or %.
+        load); m, cm, mm, +0.004 (added to the sinkage, in m); of a slip rim, 1 - v/(r_s ω), travel, r_s ω/v - 1, or %.
     """
 
     rover: str | None = None
@@ -172,7 +174,7 @@ class InferRequest(IdentifyRequest):
     shear : As in `regolith forces`.
     bulldozing : As in `regolith forces`.
     density : Soil density in kg/m³, for `bulldozing` and `law` auto.
-    gravity : Gravity in m/s², in Python also moon, mars or earth; for `bulldozing` and `law` auto.
+    gravity : Gravity: moon, mars, earth, or a number in m/s², for `bulldozing` and `law` auto.
     contact : Contact angles c1-c3 and the exponent's slope in skid are unknown too; by integration.
     sample : Draw from the posterior itself, not from a normal distribution.
     profile : Intervals by profile: the best of all else at each value.
@@ -190,7 +192,7 @@ class InferRequest(IdentifyRequest):
     shear: ShearLaw = "separate"
     bulldozing: Bulldozing = "none"
     density: float = DENSITY_KG_M3
-    gravity: float = LUNAR_GRAVITY.value
+    gravity: float | str = LUNAR_GRAVITY.value
     contact: bool = False
     sample: bool = False
     profile: bool = False
@@ -206,6 +208,8 @@ class InferRequest(IdentifyRequest):
                 self.law == "auto" and (self.exact or self.beyond),
         }  # fmt: skip
         refuse(faults, kind=RequestError)
+        with within_option("gravity"):
+            object.__setattr__(self, "gravity", gravity_of(self.gravity))
 
     def chooses(self, computed: bool) -> bool:
         """Whether the law is chosen by how it predicts, for forces that were measured or computed of a motion."""

@@ -42,7 +42,7 @@ SOIL = {
 
 def contact_model(request: WheelForcesRequest) -> ContactModel | None:
     """Choices of the integrals; None for the closed form."""
-    plain = ContactModel(reading=request.reading, density_kg_m3=request.density, gravity_m_s2=request.gravity)
+    plain = ContactModel(reading=request.reading, density_kg_m3=request.density, gravity_m_s2=float(request.gravity))
     model = replace(
         plain,
         shear=request.shear,
@@ -68,7 +68,7 @@ def changed_soil(request: WheelForcesRequest, soil: Soil, width_m: float) -> Soi
         width_m,
         cohesion_pa=soil.cohesion_pa,
         density_kg_m3=request.density,
-        gravity_m_s2=request.gravity,
+        gravity_m_s2=float(request.gravity),
     )
     return soil.replace(stiffness_kpa_m_n=stiffness)
 

@@ -30,6 +30,8 @@ Origin = Literal["option", "default", "terrain", "belief", "priors", "samples", 
 member (`samples`); a soil map (`map`)."""
 PRIORS = "priors"
 """Name of what is believed of the soil before any drive."""
+OF_A_BELIEF = 64
+"""Drives on soils of a belief, on draws of the ground, or on rows of a fit's draws, where their number is not given."""
 DEFAULT_SOIL = "longji"
 """Where none is given; it also lies under a belief, where it is nowhere used: this replaces every parameter."""
 
@@ -208,6 +210,20 @@ class GivenSoil:
         if self.belief is not None:
             return self.belief.verdict
         return read_verdict(self.file) if self.file is not None and self.of == "samples" else None
+
+    def members(self, asked: int | None) -> int | None:
+        """How many drives: as asked, or of the rows that a fit drew from its posterior as many as of a belief.
+
+        None for all rows of a file, or for what else decides. Raises DataError.
+        """
+        if asked or self.file is None or self.of != "samples" or self.verdict is None:
+            return asked
+        return OF_A_BELIEF if self.rows > OF_A_BELIEF else None
+
+    @property
+    def rows(self) -> int:
+        """Of the table of soils; 0 where there is none."""
+        return 0 if self.file is None or self.of != "samples" else len(read_csv_table(self.file))
 
     @property
     def one_soil(self) -> bool:

@@ -15,13 +15,13 @@ from lunarsci.regolith.columns import GROUND, written_in
 from lunarsci.result import Doubt, MadeFrom, Progress
 from lunarsci.rovers import MadeFor
 from lunarsci.twin.assimilation.segments import planned_places
-from lunarsci.twin.ground.driven_soil import DrivenSoil, GivenSoil
+from lunarsci.twin.ground.driven_soil import OF_A_BELIEF, DrivenSoil, GivenSoil
 from lunarsci.twin.ground.finer_ground import check_finer, driven_ground, lengths_checked, patch
 from lunarsci.twin.ground.hazards import STRAY_M, Traversability, near_way, rover_footprint, swept_nodes
 from lunarsci.twin.ground.illumination import SunDirection
 from lunarsci.twin.ground.terrain import Terrain, terrain_bytes
-from lunarsci.twin.jobs.drive_inputs import OF_A_BELIEF, DriveInputs, Soils, parsed_fixes
 from lunarsci.twin.jobs.drive_inputs import SOURCES as OF_DRIVES
+from lunarsci.twin.jobs.drive_inputs import DriveInputs, Soils, parsed_fixes
 from lunarsci.twin.jobs.requests import GroundRequest, PlanRequest, _numbers
 from lunarsci.twin.jobs.terrain import SurveyedSite, TerrainSurvey, light_of, read_site
 from lunarsci.twin.judgement.choice import Conditions, DriveChoice, choose, making_up_for_slip

@@ -16,10 +16,10 @@ from lunarsci.result import Doubt, Result, job
 from lunarsci.twin.assimilation.residuals import read_drive_states
 from lunarsci.twin.drives.layouts import trials_in
 from lunarsci.twin.drives.replay import TrialScore, TrialSoils, WheelTurns, score_trial, summary_of
-from lunarsci.twin.ground.driven_soil import PRIORS, GivenSoil, read_soil_samples
+from lunarsci.twin.ground.driven_soil import OF_A_BELIEF, PRIORS, GivenSoil, read_soil_samples
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.jobs.compare import whole_record
-from lunarsci.twin.jobs.drive_inputs import OF_A_BELIEF, soil_hashes
+from lunarsci.twin.jobs.drive_inputs import soil_hashes
 from lunarsci.twin.jobs.requests import StatesRequest, TrialsRequest
 from lunarsci.twin.jobs.states import MeasuredStates, states
 from lunarsci.twin.plans.motion import read_motion
@@ -157,7 +157,8 @@ def _soils(given: GivenSoil, asked: TrialsRequest) -> TrialSoils:
         drawn = given.belief.draws(asked.members or OF_A_BELIEF, asked.seed)
         return TrialSoils(kind="belief", samples=drawn, discrepancy=given.belief.discrepancy)
     if given.file is not None:
-        return TrialSoils(kind="samples", samples=read_soil_samples(given.file, asked.members, asked.seed))
+        members = given.members(asked.members)
+        return TrialSoils(kind="samples", samples=read_soil_samples(given.file, members, asked.seed))
     return TrialSoils(kind="one")
 
 

@@ -24,6 +24,7 @@ from lunarsci.rovers import DEFAULT_ROVER, RoverDescription, read_rover
 from lunarsci.twin.assimilation.segments import planned_places
 from lunarsci.twin.ground.driven_soil import (
     DEFAULT_SOIL,
+    OF_A_BELIEF,
     PRIORS,
     DrivenSoil,
     GivenSoil,
@@ -49,8 +50,6 @@ SOURCES = [
     "Janosi & Hanamoto (1961), Proc. 1st Int. Conf. Mechanics of Soil-Vehicle Systems, Turin, 707",
 ]
 SOIL_TABLE = "soils.toml"
-OF_A_BELIEF = 64
-"""Drives on soils of a belief, or on draws of the ground, where their number is not given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,8 +117,10 @@ class DriveInputs:
             rest = f", what it lacks of {self.driven.rest}" if self.driven.rest else ""
             why = ", assumed: none is given, and the terrain has none (--soil)" if self.driven.of == "default" else ""
             named = not standing_in and drawn < len(SOIL_COLUMNS)
-            rows = [f"soil: of each drive a row of {self.given.name}"] if self.given.of == "samples" else []
-            return [*rows, *[f"soil: that of {self.driven.name}{rest}{why}"] * named]
+            some = f"soils: {members} of the {self.given.rows} of {self.given.name}; --members N takes more"
+            every = f"soil: of each drive a row of {self.given.name}"
+            lines = [some if members < self.given.rows else every] if self.given.of == "samples" else []
+            return [*lines, f"soil: that of {self.driven.name}{rest}{why}"] if named else lines
         start = "no drive yet, only on " + ("the priors" if belief.verdict is None else "a fit to wheel states")
         drives = start if not belief.history else f"{len(belief.history)} drive(s)"
         unread = len(belief.history) - self.given.learned

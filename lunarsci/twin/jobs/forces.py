@@ -98,7 +98,7 @@ def forces(
     asked = request_of(DriveRequest, request, options)
     inputs = read_drive_inputs(plan, *asked.ground, soil=asked.soil, fixes=asked.fixes)
     alone = not asked.sweep and asked.members is None and inputs.given.one_soil
-    soils = Soils.of(inputs, () if alone else asked.sweep or None, asked.members, asked.seed or 0)
+    soils = Soils.of(inputs, () if alone else asked.sweep or None, inputs.given.members(asked.members), asked.seed or 0)
     if asked.seed is not None and soils.drawn_by is None:
         raise RequestError("`seed` has nothing to draw; give `members`, `soil` or `fixes`, or leave it out")
     prediction = predict_drives(soils, asked.time_step, asked.sample, progress)

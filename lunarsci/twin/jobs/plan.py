@@ -14,7 +14,7 @@ from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
 from lunarsci.result import Doubt, MadeFrom, Progress, job
 from lunarsci.twin.assimilation.segments import planned_places
-from lunarsci.twin.ground.driven_soil import GivenSoil
+from lunarsci.twin.ground.driven_soil import OF_A_BELIEF, GivenSoil
 from lunarsci.twin.ground.hazards import ExclusionZone, Traversability, near_way, rover_footprint
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.jobs.chosen_drive import (
@@ -31,8 +31,8 @@ from lunarsci.twin.jobs.chosen_drive import (
     places_of,
     planned_power,
 )
-from lunarsci.twin.jobs.drive_inputs import OF_A_BELIEF, Soils
 from lunarsci.twin.jobs.drive_inputs import SOURCES as OF_DRIVES
+from lunarsci.twin.jobs.drive_inputs import Soils
 from lunarsci.twin.jobs.requests import PlanRequest
 from lunarsci.twin.jobs.terrain import SurveyedSite, TerrainSurvey, read_site
 from lunarsci.twin.judgement.choice import Conditions

@@ -213,7 +213,7 @@ def predict(
     inputs, unresolved = (inputs, None) if asked.exact_terrain else _rough(inputs, asked.seed or 0)
     if asked.risk is not None:
         inputs = replace(inputs, plan=replace(inputs.plan, accepted_risk=AcceptedRisk(asked.risk)))
-    soils = Soils.of(inputs, asked.sweep or None, asked.members, asked.seed or 0)
+    soils = Soils.of(inputs, asked.sweep or None, inputs.given.members(asked.members), asked.seed or 0)
     soils.warn_of_seed(asked.seed)
     prediction = predict_drives(soils, asked.time_step, asked.sample, progress)
     result = _judged(soils, prediction, asked, unresolved)

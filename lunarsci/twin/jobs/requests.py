@@ -289,9 +289,9 @@ class DriveRequest(RoverOnGround):
     Attributes
     ----------
     soil : Soil, in place of the terrain's: a name or a TOML file; or a file from which each drive has its own: CSV with
-        a row each, a belief of `twin update` or its map (JSON), from which 64 are drawn unless `members` is given; or
-        `priors`, or a file of `template prior`: what is believed before any drive. Repeatable: a name beside a CSV that
-        lacks parameters.
+        a row each; or the JSON or draws of `regolith infer`, a belief of `twin update` or its map (JSON), from which 64
+        are drawn unless `members` is given; or `priors`, or a file of `template prior`: what is believed before any
+        drive. Repeatable: a name beside a CSV that lacks parameters.
     sweep : Uncertain soil parameter, repeatable; replaces the plan's sweeps.
     members : Number of drives: samples of the ranges instead of the grid of all values, or draws.
     fixes : Position fixes after each leg: standard errors in position and heading, and the standstill in s that each

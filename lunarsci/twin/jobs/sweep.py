@@ -178,7 +178,8 @@ def _mission(plans: Any, asked: SweepRequest) -> tuple[Soils, ...]:
             judged=True,
             terrain_errors=not asked.exact_terrain,
         )
-        soils.append(Soils.of(inputs, asked.sweep or None, asked.members, asked.seed or 0))
+        members = inputs.given.members(asked.members)
+        soils.append(Soils.of(inputs, asked.sweep or None, members, asked.seed or 0))
     if len({one.drawn for one in soils}) > 1 or (
         not asked.sweep and len({one.inputs.plan.sweep for one in soils}) > 1 and soils[0].kind in ("sweep", "one")
     ):

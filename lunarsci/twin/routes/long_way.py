@@ -76,8 +76,8 @@ def long_way(
     arcs.
     """
     reach = rover_footprint(rover).reach_m
-    for what, place in (("start", start[:2]), ("target", target)):
-        check_place(patch(surface, finer, np.array([place]), 2.0 * surface.terrain.spacing_m), what, place, reach)
+    for what, place in (("start", start), ("target", target)):
+        check_place(patch(surface, finer, np.array([place[:2]]), 2.0 * surface.terrain.spacing_m), what, place, reach)
     ends, whole = np.array([start[:2], target]), laid_over(surface, finer) if finer else surface
     strip = _strip(whole, rover, ends)
     way = way_over_nodes(whole, strip, ends)

@@ -197,8 +197,9 @@ class RouteSearch:
         clear, point = self.clear_m(end[None])
         if math.isfinite(clear) and len(self.ground.border):
             text += f", {max(clear, 0.0):.2g} m from where {self.obstacle(point)}"
-        other = "a nearer target first" if len(nearest.arcs) else f"or {self._instead('start', self.start)}"
-        return f"{text}; try a smaller hazard distance, tighter turns, other limits, {other}"
+        options = "`max_slope`, `max_step`, `hazard_distance` and `turning_radius`, alone or together"
+        other = "a nearer target first" if len(nearest.arcs) else self._instead("start", self.start)
+        return f"{text}; try other limits by {options}, or {other}"
 
     def _obstacle_places(self) -> tuple[FloatArray, FloatArray]:
         terrain = self.surface.terrain
@@ -212,7 +213,7 @@ class RouteSearch:
         if distance < least:
             raise ParameterError(
                 f"at the {name} the footprint is {distance:.2f} m from an obstacle and {least:g} m are to be kept: "
-                f"{self.obstacle(point)}; {self._instead(name, poses[0])}, or a smaller distance"
+                f"{self.obstacle(point)}; {self._instead(name, poses[0])}, or a smaller `hazard_distance`"
             )
 
     def _instead(self, name: str, pose: FloatArray) -> str:
@@ -340,7 +341,7 @@ def nearest_room(surface: Traversability, place: tuple[float, float], reach_m: f
 def instead(surface: Traversability, name: str, place: tuple[float, float], reach_m: float) -> str:
     """What to give in place of a start or target for a rover that reaches so far."""
     near = nearest_room(surface, place, reach_m)
-    return f"give another {name}" + (
+    return f"give another `{name}`" + (
         "" if near is None else f", the nearest with room being {near[0]:.6g},{near[1]:.6g}"
     )
 

@@ -122,7 +122,7 @@ def test_a_wall_without_a_gap_or_with_one_too_narrow_is_not_passed() -> None:
 
 
 def test_on_open_ground_no_obstacle_is_blamed() -> None:
-    with pytest.raises(ParameterError, match=r"m from where the map ends; try .* tighter turns"):
+    with pytest.raises(ParameterError, match=r"m from where the map ends; try .*`turning_radius`"):
         plan_path(seen(FLAT), YUTU2, START, (START[0] + 0.5, START[1] + 0.5))
 
 
