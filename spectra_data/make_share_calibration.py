@@ -5,7 +5,8 @@ folds, `fold-K.npz` of `make_share_networks.py`. Each spectrum of known modes is
 knew nothing of its suite, and no other powder of its specimens: with all four minerals, with its minerals named,
 together with its series, and cut. Then the coefficients of `lunarsci.spectra.abundance.shares` are learned: the weight
 of the end members by the continuous ranked probability score, sharpness and doubt by the logarithmic score, the levels
-of intervals by what they hold in spectra of more than one mineral. A suite of m spectra counts as the square root of m.
+of intervals by what they hold of the minerals that are there, in spectra of more than one mineral. A suite of m spectra
+counts as the square root of m.
 
 `share_calibration.csv` has the coefficients; `share_validation.csv` and `share_errors.csv` what comes out, each fold by
 the coefficients of the others. OUT keeps what networks and end members said, `cases.pkl`, which is read where it is
@@ -247,8 +248,12 @@ def _weights(one: Cases) -> list[float]:
 
 
 def _level(parts: Sequence[Cases], known: Known, level: int) -> float:
-    """At which intervals of more than one mineral hold it."""
-    low, high = 0.3, 0.999
+    """At which intervals hold it: of shares above 0 in spectra of more than one mineral.
+
+    A mineral that is absent is nearly always within its interval, which begins at 0: with these counted as well, the
+    shares of those that are there would be held too seldom.
+    """
+    low, high = 0.1, 0.999
     for _ in range(12):
         middle = (low + high) / 2
         trial = known | {(f"level{k}", term): middle for k in (68, 95) for term in ("alone", "mixed")}
@@ -256,8 +261,9 @@ def _level(parts: Sequence[Cases], known: Known, level: int) -> float:
         for one in parts:
             some = one.part(one.group != "mineral")
             inside = holds(some, answered(some, trial), trial)[0]
-            held += float((some.weight[:, None] * inside * some.allowed).sum())
-            size += float((some.weight[:, None] * some.allowed).sum())
+            weight = some.weight[:, None] * some.allowed * (some.truth > 0.0)
+            held += float((weight * inside).sum())
+            size += float(weight.sum())
         low, high = (middle, high) if held / size < level / 100 else (low, middle)
     return (low + high) / 2
 
@@ -315,13 +321,13 @@ def judged(every: Sequence[Cases], found: Sequence[Nested]) -> list[dict[str, st
         for name, m in sorts.items():
             if m.sum() < LEAST_SPECTRA:
                 continue
-            there = one.allowed[m] > 0
+            there, some = one.allowed[m] > 0, one.truth[m] > 0.0
             numbers = {
                 "within_15": good[m].mean(),
                 "in_domain": inside[m].mean(),
                 "in_domain_and_good": (good & inside)[m].mean(),
                 "precision": good[m & inside].mean(),
-                **{f"held{level}": own.held[k][m][there].mean() for k, level in enumerate((68, 95))},
+                **{f"held{level}": own.held[k][m][there & some].mean() for k, level in enumerate((68, 95))},
                 **{f"width{level}": np.median(own.width[k][m][there]) for k, level in enumerate((68, 95))},
                 "present_error": calibration_error(own.present[m][there], one.truth[m][there] > SOME),
             }
