@@ -186,7 +186,8 @@ class CalibratedShares:
     ----------
     probabilities : (n, 4, 21) of `SHARES` of each mineral of `WEIGHED`.
     doubt : (n,) probability of knowing nothing.
-    weight : (n,) of mixtures of end members, beside networks.
+    weight : (n,) of mixtures of end members, beside networks; series : whether those were taken together.
+    missing : (n,) part of the channels that is missing.
     alone, returned : with the prior of returned rocks, the answer without it, and the probabilities, (n,), that the
         rocks are like those.
     """
@@ -194,8 +195,10 @@ class CalibratedShares:
     probabilities: FloatArray
     doubt: FloatArray
     weight: FloatArray
+    missing: FloatArray
     alone: "CalibratedShares | None" = None
     returned: FloatArray | None = None
+    series: bool = False
 
     @cached_property
     def mean(self) -> FloatArray:
@@ -261,7 +264,9 @@ class CalibratedShares:
         middle, intervals = _at(self.below, self.mean), []
         least, most = np.minimum(self.mean, self.median), np.maximum(self.mean, self.median)
         for name in ("level68", "level95"):
-            level = np.where(self.weight < 0.5, calibration[name, "alone"], calibration[name, "mixed"])[:, None]
+            mixed = calibration[name, "series" if self.series else "mixed"]
+            level = np.where(self.weight < 0.5, calibration[name, "alone"], mixed)
+            level = np.minimum(level + calibration[name, "missing"] * self.missing, 1.0)[:, None]
             first, last = middle * (1.0 - level), middle + (1.0 - middle) * level
             low = np.where(self.probabilities[..., 0] >= first, 0.0, _share_at(self.below, first))
             high = np.where(self.probabilities[..., -1] >= 1.0 - last, 1.0, _share_at(self.below, last))
@@ -405,7 +410,8 @@ def answer(
     """
     table = table or calibration()
     both, weight = pooled(foretold, mixed, dark, table)
-    return CalibratedShares(*sharpened(both, allowed, terms_of(foretold, dark, rock, weight, table), table), weight)
+    calibrated = sharpened(both, allowed, terms_of(foretold, dark, rock, weight, table), table)
+    return CalibratedShares(*calibrated, weight, foretold.missing, series=mixed is not None and mixed.series)
 
 
 def with_rocks(alone: CalibratedShares) -> CalibratedShares:
@@ -417,7 +423,7 @@ def with_rocks(alone: CalibratedShares) -> CalibratedShares:
     for row in range(len(returned)):
         rocks, returned[row] = posterior(alone.probabilities[row], alone.doubt[row], alone.there(row))
         both[row] += returned[row] * (shared_out(rocks).mean(axis=0) - both[row])
-    return CalibratedShares(both, np.zeros_like(returned), alone.weight, alone, returned)
+    return CalibratedShares(both, np.zeros_like(returned), alone.weight, alone.missing, alone, returned, alone.series)
 
 
 def abundances(

@@ -58,7 +58,7 @@ NOMINAL = {
 def told(found: Mixed, minerals: Sequence[str]) -> list[list[MineralFraction]]:
     """Means and shortest intervals of each spectrum, as drawn."""
     count = len(found.probabilities)
-    plain = CalibratedShares(found.probabilities, np.zeros(count), np.ones(count))
+    plain = CalibratedShares(found.probabilities, np.zeros(count), np.ones(count), np.zeros(count))
     ends = np.concatenate(plain.intervals(NOMINAL), axis=-1)
     places = [WEIGHED.index(name) for name in minerals]
     return [[MineralFraction(WEIGHED[k], float(plain.mean[row, k]), *ends[row, k].tolist()) for k in places]
