@@ -125,9 +125,9 @@ def _one_fit(one: Result) -> str:
     """What its command says below its tables, then which assemblages it does not distinguish, and the pyroxenes."""
     verdict = fit_verdict(one)
     family = (one.get("choice") or {}).get("family")
-    weak = "" if (one.get("choice") or {}).get("strong", True) else "The evidence is weak. "
-    apart = "Assemblages that the spectrum does not distinguish"
-    chosen = f" {weak}{apart}: {', '.join(family)}." if family and len(family) > 1 else ""
+    first = "The" if (one.get("choice") or {}).get("strong", True) else "This is weak evidence: the"
+    apart = f"{first} spectrum does not distinguish the assemblages"
+    chosen = f" {apart} {', '.join(family)}." if family and len(family) > 1 else ""
     ratio = (one.get("nbsr") or {}).get("um2")
     strength = (
         f" Of the pyroxene bands at 2 µm, orthopyroxene makes {measured(ratio['opx'], ratio.get('sigma'))}."

@@ -205,10 +205,9 @@ def each(
     if len(items) > MOST and short is not None:
         counts = Counter(short(item) for item in items)
         kinds = [f"{count} of them: {text}." for text, count in counts.most_common(MOST)]
-        rest = sum(counts.values()) - sum(count for _, count in counts.most_common(MOST))
-        return " ".join(
-            [f"{counted(len(items), thing)}.", *kinds, *([f"{rest} of them: other answers."] if rest else [])]
-        )
+        others = counts.total() - sum(count for _, count in counts.most_common(MOST))
+        more = [f"{others} of them: other answers."] if others else []
+        return " ".join([f"{counted(len(items), thing)}.", *kinds, *more])
     one_by_one = [sentence(item) for item in items[:MOST]]
     rest = [f"{counted(len(items), thing)} in all, those after the first {MOST} below."] if len(items) > MOST else []
     return " ".join([*one_by_one, *rest]) or f"No {thing}."
