@@ -153,7 +153,7 @@ LEAST = 8
 RANKS: Mapping[str, int] = {
     header: rank
     for rank, headers in {
-        0: "BC1000, BC2000, spread at 1 µm, spread at 2 µm",
+        0: "BC1000, BC2000, spread 1 µm, spread 2 µm",
         1: "strength, FWHM, BD1000, BD2000, posterior, prior, ln BF, i, e, g, limit, unit, verdict, "
         "95 % of drives, kept, *, bias, wheel, in 90 % bands, median, 68 %, value, status, mineral, share, F_N, F_DP, "
         "slip, sinkage, F_N balanced, F_DP balanced, F_L balanced, determined, states",
@@ -167,8 +167,8 @@ RANKS: Mapping[str, int] = {
     for header in headers.split(", ")
 }
 """Columns that go later (0, 1) or sooner (3, 4) than others (2) where there is no room; of equals the right one goes
-first, and an error stays as long as its value. Those of 4 go before sentences become footnotes. The first column of a
-table always stays."""
+first, so that an error goes right before its value. Those of 4 go before sentences become footnotes. The first column
+of a table always stays."""
 DISPENSABLE = 4
 """Rank of columns that go before sentences become footnotes."""
 

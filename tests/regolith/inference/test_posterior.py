@@ -113,6 +113,18 @@ def test_what_the_states_cannot_tell_stays_as_wide_as_the_prior() -> None:
         assert name not in posterior.determined
 
 
+def test_what_is_left_of_the_prior_is_that_of_the_intervals_shown() -> None:
+    """Few, scattered states: by draws and by a profile the width that is left is half the 68 % interval's."""
+    rng = np.random.default_rng(2)
+    states = measured(drawn_soil(rng), 4, rng)
+    for options in ({"sample": True}, {"profile": True}, {}):
+        posterior = infer_soil(states, WHEEL, **options)
+        for name, (_, low, high, *_) in posterior.intervals().items():
+            law = posterior.prior[name]
+            half = np.ptp(law.transformed(np.array([low, high]))) / 2 / law.width
+            assert 1 - posterior.shrinkage[name] == pytest.approx(half, rel=0.2), (options, name)
+
+
 def test_a_wrong_state_is_left_out_and_changes_little() -> None:
     rng = np.random.default_rng(6)
     states = measured(drawn_soil(rng), 30, rng)
