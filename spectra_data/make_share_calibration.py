@@ -5,7 +5,8 @@ folds, `fold-K.npz` of `make_share_networks.py`. Each spectrum of known modes is
 knew nothing of its suite, and no other powder of its specimens: with all four minerals, with its minerals named,
 together with its series, and cut. Then the coefficients of `lunarsci.spectra.abundance.shares` are learned: the weight
 of the end members by the continuous ranked probability score, sharpness and doubt by the logarithmic score, the levels
-of intervals by what they hold in spectra of more than one mineral. A suite of m spectra counts as the square root of m.
+of intervals by what they hold of the minerals that are there, in spectra of more than one mineral of suites left out. A
+suite of m spectra counts as the square root of m, but for the levels.
 
 `share_calibration.csv` has the coefficients; `share_validation.csv` and `share_errors.csv` what comes out, each fold by
 the coefficients of the others. OUT keeps what networks and end members said, `cases.pkl`, which is read where it is
@@ -58,6 +59,8 @@ CENTRE = {("logit_doubt", "constant"): -3.0, ("logit_doubt", "strange"): 1.0, ("
 0.03 deep, three of them pyroxenes without iron that look like plagioclase. Assumed."""
 DRAWN_TO = 0.003
 """How strongly; assumed."""
+LEVELS = (("alone", "all"), ("mixed", "named"), ("series", "together"), ("missing", "cut"))
+"""Terms of the levels of intervals, and the way of asking that each is learned from."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,9 +205,6 @@ def learn(every: Sequence[Cases], without: int | None = None) -> Known:
         return total / size + DRAWN_TO * float(((values - centre) ** 2).sum())
 
     known |= dict(zip(keys, minimize(loss, centre, method="BFGS").x.tolist(), strict=True))
-    for level in (68, 95):
-        for term, way in (("alone", "all"), ("mixed", "named")):
-            known[f"level{level}", term] = _level([one for one in some if one.way == way], known, level)
     return known | _present([one for one in some if one.way != "cut"], known)
 
 
@@ -246,20 +246,27 @@ def _weights(one: Cases) -> list[float]:
     return min((minimize(loss, start, method="BFGS") for start in starts), key=lambda found: found.fun).x.tolist()
 
 
-def _level(parts: Sequence[Cases], known: Known, level: int) -> float:
-    """At which intervals of more than one mineral hold it."""
-    low, high = 0.3, 0.999
-    for _ in range(12):
-        middle = (low + high) / 2
-        trial = known | {(f"level{k}", term): middle for k in (68, 95) for term in ("alone", "mixed")}
-        held, size = 0.0, 0.0
-        for one in parts:
-            some = one.part(one.group != "mineral")
-            inside = holds(some, answered(some, trial), trial)[0]
-            held += float((some.weight[:, None] * inside * some.allowed).sum())
-            size += float((some.weight[:, None] * some.allowed).sum())
-        low, high = (middle, high) if held / size < level / 100 else (low, middle)
-    return (low + high) / 2
+def levels(every: Sequence[Cases], answers: Sequence[CalibratedShares], without: int | None = None) -> Known:
+    """At which intervals hold 68 and 95 % of shares above 0, in spectra of more than one mineral but for a fold.
+
+    `answers` are by coefficients that knew nothing of the spectra's fold. A mineral that is absent is nearly always
+    within its interval, which begins at 0: with these counted as well, those that are there would be held too seldom.
+    Spectra taken together have the level of each alone at least: few series are known.
+    """
+    known: Known = {(f"level{level}", term): 0.0 for level in (68, 95) for term, _ in LEVELS}
+    for level in (68, 95):
+        for term, way in LEVELS:
+            one, shares = next(both for both in zip(every, answers, strict=True) if both[0].way == way)
+            rows = (one.group != "mineral") & (one.fold != without)
+            counted = rows[:, None] & (one.allowed > 0) & (one.truth > 0.0)
+            low, high = known[f"level{level}", "mixed"] if term == "series" else 0.0, 0.999
+            for _ in range(12):
+                known[f"level{level}", term] = (low + high) / 2
+                inside = holds(one, shares, known)[level == 95]
+                low, high = (
+                    ((low + high) / 2, high) if inside[counted].mean() < level / 100 else (low, (low + high) / 2)
+                )
+    return known
 
 
 def answered(one: Cases, known: Mapping) -> CalibratedShares:
@@ -285,23 +292,34 @@ class Nested:
     width: np.ndarray
 
 
-def nested(every: Sequence[Cases]) -> list[Nested]:
-    """Of each way."""
-    found = []
+def nested(every: Sequence[Cases]) -> tuple[list[Nested], Known]:
+    """Of each way; and the levels of intervals, learned on these answers."""
     laws = {fold: learn(every, fold) for fold in range(FOLDS)}
-    for one in every:
+    answers = [left_out(one, laws) for one in every]
+    laws = {fold: known | levels(every, answers, fold) for fold, known in laws.items()}
+    found = []
+    for one, shares in zip(every, answers, strict=True):
         count = len(one.rows)
-        own = Nested(*(np.zeros(shape) for shape in ((count, 4), count, (count, 4), (2, count, 4), (2, count, 4))))
+        own = Nested(
+            shares.mean, shares.near(), *(np.zeros(shape) for shape in ((count, 4), (2, count, 4), (2, count, 4)))
+        )
         for fold, known in laws.items():
-            rows = np.flatnonzero(one.fold == fold)
-            if rows.size:
-                part = one.part(one.fold == fold)
-                answer = answered(part, known)
-                own.mean[rows], own.near[rows], own.present[rows] = answer.mean, answer.near(), answer.present(known)
-                inside68, inside95, own.width[:, rows] = holds(part, answer, known)
-                own.held[:, rows] = inside68, inside95
+            rows = one.fold == fold
+            own.present[rows] = shares.present(known)[rows]
+            inside68, inside95, width = holds(one, shares, known)
+            own.held[0, rows], own.held[1, rows], own.width[:, rows] = inside68[rows], inside95[rows], width[:, rows]
         found.append(own)
-    return found
+    return found, levels(every, answers)
+
+
+def left_out(one: Cases, laws: Mapping[int, Known]) -> CalibratedShares:
+    """Answers to all spectra of a way, each fold by what the others taught."""
+    parts = [(np.flatnonzero(one.fold == fold), known) for fold, known in laws.items()]
+    each = [answered(one.part(rows), known) for rows, known in parts]
+    order = np.argsort(np.concatenate([rows for rows, _ in parts]))
+    names = ("probabilities", "doubt", "weight", "missing")
+    arrays = {name: np.concatenate([getattr(part, name) for part in each])[order] for name in names}
+    return CalibratedShares(**arrays, series=each[0].series)
 
 
 def judged(every: Sequence[Cases], found: Sequence[Nested]) -> list[dict[str, str]]:
@@ -315,13 +333,14 @@ def judged(every: Sequence[Cases], found: Sequence[Nested]) -> list[dict[str, st
         for name, m in sorts.items():
             if m.sum() < LEAST_SPECTRA:
                 continue
-            there = one.allowed[m] > 0
+            there, some = one.allowed[m] > 0, one.truth[m] > 0.0
             numbers = {
                 "within_15": good[m].mean(),
                 "in_domain": inside[m].mean(),
                 "in_domain_and_good": (good & inside)[m].mean(),
                 "precision": good[m & inside].mean(),
                 **{f"held{level}": own.held[k][m][there].mean() for k, level in enumerate((68, 95))},
+                **{f"there{level}": own.held[k][m][there & some].mean() for k, level in enumerate((68, 95))},
                 **{f"width{level}": np.median(own.width[k][m][there]) for k, level in enumerate((68, 95))},
                 "present_error": calibration_error(own.present[m][there], one.truth[m][there] > SOME),
             }
@@ -377,8 +396,8 @@ def main() -> None:
     if not kept.exists():
         kept.write_bytes(pickle.dumps(cases(folder, networks)))
     every = pickle.loads(kept.read_bytes())
-    found = nested(every)
-    write(out, learn(every), every, found, measured(folder).ids)
+    found, heights = nested(every)
+    write(out, learn(every) | heights, every, found, measured(folder).ids)
 
 
 if __name__ == "__main__":

@@ -302,8 +302,8 @@ def packed(networks: list[Network], recipe: Background) -> Iterator[tuple[str, n
         for k, (weight, bias) in enumerate(network.layers):
             yield f"{number}_w{k}", weight.astype(np.float16)
             yield f"{number}_b{k}", bias.astype(np.float16)
-    for name in ("mean", "factors", "own"):
-        yield f"background_{name}", getattr(recipe, name).astype(np.float32)
+    for name, values in (("mean", recipe.mean), ("factors", recipe.factors), ("own", recipe.unique)):
+        yield f"background_{name}", values.astype(np.float32)
 
 
 def made(powders: LabSpectra, seed: int, recipe: Recipe) -> dict[str, np.ndarray]:

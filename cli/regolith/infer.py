@@ -139,8 +139,8 @@ def _laws(soil: InferredSoil) -> list[TextTable]:
         for s in soil.scores
     ]  # fmt: skip
     notes = [
-        "score: ln density of groups of states left out; taken is the simplest law within one ± of the best, "
-        "with the contact angles open unless that is two ± behind"
+        "score: ln density of groups of states left out. Of the laws less than one ± behind the best, the simplest is "
+        "used; a law that fits the contact angles comes first, if one is less than two ± behind"
     ]
     headers = ["law", "score", "behind", "±", "model error F_N, F_DP, F_L"]
     return [TextTable(headers, rows, title="Laws compared", notes=notes)]

@@ -153,10 +153,11 @@ LEAST = 8
 RANKS: Mapping[str, int] = {
     header: rank
     for rank, headers in {
-        1: "strength, FWHM, BC1000, BC2000, BD1000, BD2000, posterior, prior, ln BF, i, e, g, limit, unit, verdict, "
+        0: "BC1000, BC2000, spread 1 µm, spread 2 µm",
+        1: "strength, FWHM, BD1000, BD2000, posterior, prior, ln BF, i, e, g, limit, unit, verdict, "
         "95 % of drives, kept, *, bias, wheel, in 90 % bands, median, 68 %, value, status, mineral, share, F_N, F_DP, "
         "slip, sinkage, F_N balanced, F_DP balanced, F_L balanced, determined, states",
-        3: "area1000, area2000, spread at 1 µm, spread at 2 µm, rms ln R, shrinkage of centre, margin, p50, channels, "
+        3: "area1000, area2000, rms ln R, shrinkage of centre, margin, p50, channels, "
         "range, ejecta, main route, Sun, step, gain, F_N assumed, F_DP assumed, F_L assumed, rms, plan, surprise, "
         "ground's own 68 %, F_N from p05 to p95, F_DP from p05 to p95, F_L from p05 to p95, M_R from p05 to p95, "
         "sinkage from p05 to p95, slip from p05 to p95, side slip from p05 to p95, picture, truth, x, y",
@@ -165,8 +166,9 @@ RANKS: Mapping[str, int] = {
     }.items()
     for header in headers.split(", ")
 }
-"""Columns that go later (1) or sooner (3, 4) than others (2) where there is no room; of equals the right one goes
-first. Those of 4 go before sentences become footnotes. The first column of a table always stays."""
+"""Columns that go later (0, 1) or sooner (3, 4) than others (2) where there is no room; of equals the right one goes
+first, so that an error goes right before its value. Those of 4 go before sentences become footnotes. The first column
+of a table always stays."""
 DISPENSABLE = 4
 """Rank of columns that go before sentences become footnotes."""
 

@@ -63,7 +63,7 @@ def result_tables(result: MeasuredBands) -> list[TextTable]:
 def _bands_table(result: MeasuredBands) -> TextTable:
     headers = ["spectrum"]
     for name, band in (("1000", "1 µm"), ("2000", "2 µm")):
-        headers += [f"BC{name} [nm]", f"spread at {band} [nm]", f"BD{name}", f"area{name} [nm]"]
+        headers += [f"BC{name} [nm]", f"spread {band} [nm]", f"BD{name}", f"area{name} [nm]"]
         headers.append(f"continuum at {band}")
     records = result.content()["spectra"]
     rows = [_bands_row(record) for record in records[:SHOWN]]

@@ -226,13 +226,25 @@ def _choice_table(choice: Mapping[str, Any]) -> TextTable:
     headers = ["assemblage", "recalibrated probability [%]", "ln evidence"]
     sure = ", ".join(f"{mineral} {100 * share:.0f} %" for mineral, share in choice["mineral_probability"].items())
     notes = [
-        f"the fewest that hold {100 * SURE:.0f} %: {', '.join(choice['family'])} (together {100 * together:.1f} %)",
-        "probability: ln evidence, less for every mineral more, recalibrated on laboratory spectra; orders may differ",
-        f"probability that a mineral is there at all, if these are one or two (not its share): {sure}",
+        f"not distinguished: {', '.join(choice['family'])}; they are the most probable ones, which together reach "
+        f"{100 * SURE:.0f} % ({100 * together:.1f} %)",
+        "the probability is not the evidence alone: each further mineral lowers it, and it is calibrated on laboratory "
+        "spectra",
+        f"probability that the spectrum needs a mineral's bands, if the rock has one or two minerals: {sure}",
+        *_present_notes(choice),
     ]
     if left := len(choice["candidates"]) - len(rows):
         notes.append(f"{left} others, each below half a per cent: --json")
     return TextTable(headers, rows, title="assemblages, the most probable first", notes=notes)
+
+
+def _present_notes(choice: Mapping[str, Any]) -> list[str]:
+    """What `spectra unmix` says of the minerals that are there, where it says anything."""
+    if not (shares := {name: share for name, share in (choice["present"] or {}).items() if share is not None}):
+        return []
+    shown = ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares.items())
+    why = "it allows four minerals at once, and can see one whose bands others hide"
+    return [f"probability of more than 5 % of a mineral, by `spectra unmix`: {shown}; {why}"]
 
 
 def _abundance_table(abundances: Sequence[Abundance]) -> TextTable:
@@ -240,7 +252,7 @@ def _abundance_table(abundances: Sequence[Abundance]) -> TextTable:
         [
             modes.method,
             share.mineral,
-            UNKNOWN if share.quoted != share.quoted else plus_minus(100 * share.quoted, digits=0),
+            UNKNOWN if share.fraction != share.fraction else plus_minus(100 * share.fraction, digits=0),
             f"{100 * share.low:.0f} to {100 * share.high:.0f}",
             f"{100 * share.low95:.0f} to {100 * share.high95:.0f}",
         ]

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 GIVEN, MIXTURE = "What is known", "End members"
 NORMATIVE = {"plagioclase_wt": "normative plagioclase", "feo_wt": "FeO", "tio2_wt": "TiO2"}
-MEANS = "medians do not sum to 100; means do: --json, fraction"
+NEEDED = "`spectra fit --assemblage auto` says which minerals' bands the spectrum needs: one may be there without need"
 OPTIONS = {
     "assemblage": option(panel=GIVEN, metavar="NAMES"),
     "kind": option(panel=GIVEN, metavar="KIND"),
@@ -69,23 +69,23 @@ def share_tables(result: UnmixedSpectra) -> list[TextTable]:
     shown = [one for one, kind in zip(result.shares, result.kinds, strict=True) if kind.kind != "weathered-soil"]
     if len(shown) == 1:
         rows = [[share.mineral, *_percent(share), f"{100 * share.present:.0f}"] for share in shown[0].fractions]
-        headers = ["mineral", "median [%]", "68 %", "95 %", "probability of more than 5 % [%]"]
+        headers = ["mineral", "share [%]", "68 %", "95 %", "probability of more than 5 % [%]"]
         title = f"{shown[0].id}: shares of minerals by volume"
-        return [TextTable(headers, rows, title=title, notes=[shown[0].status, MEANS])]
+        return [TextTable(headers, rows, title=title, notes=[shown[0].status, NEEDED])]
     minerals = list(dict.fromkeys(share.mineral for one in shown for share in one.fractions))
     rows = []
     for one in shown:
         cells = {share.mineral: "{} ({})".format(*_percent(share)[:2]) for share in one.fractions}
         rows.append([one.id, *(cells.get(name, "-") for name in minerals), "yes" if one.in_domain else "no"])
     headers = ["spectrum", *(f"{name} [%]" for name in minerals), "in domain"]
-    title = "shares of minerals by volume, medians with 68 % intervals"
-    return [TextTable(headers, rows, title=title, notes=[MEANS])] if rows else []
+    title = "shares of minerals by volume, with 68 % intervals"
+    return [TextTable(headers, rows, title=title)] if rows else []
 
 
 def _percent(share: MineralFraction) -> list[str]:
     ends = ((share.low, share.high), (share.low95, share.high95))
     return [
-        UNKNOWN if share.quoted != share.quoted else plus_minus(100 * share.quoted, digits=0),
+        UNKNOWN if share.fraction != share.fraction else plus_minus(100 * share.fraction, digits=0),
         *(f"{100 * low:.0f} to {100 * high:.0f}" for low, high in ends),
     ]
 
@@ -95,7 +95,7 @@ def ratio_table(mixed: UnmixedSpectra) -> list[TextTable]:
     from lunarsci.spectra.abundance.result import BOULDERS
 
     rows = [[one.id, ratio.mineral.replace("_", " "), *_percent(ratio)] for one in mixed.shares for ratio in one.ratios]
-    headers = ["spectrum", "ratio", "median [%]", "68 %", "95 %"]
+    headers = ["spectrum", "ratio", "share [%]", "68 %", "95 %"]
     return [TextTable(headers, rows, title="ratios of mafic minerals", notes=[BOULDERS])] if rows else []
 
 

@@ -195,7 +195,7 @@ def discrepancy_table(after: PhysicsDiscrepancy, before: PhysicsDiscrepancy | No
     first = " and ".join(dict.fromkeys(f"{_law(FIRST, key).degrees:g}" for key in parts.values()))
     notes = [
         f"learned from {count} drive{'s' * (count != 1)}; predictions add it to what the soil is not known for",
-        f"worth: as many drives would tell it as surely; {first} of them stand for the simulations it began with",
+        f"worth: how many drives would determine it as well; before the first drive it is {first}, from simulations",
     ]
     return TextTable(headers, rows, title="What the twin's physics is off by, beside the soil", notes=notes)
 

@@ -121,8 +121,8 @@ def _choice_table(survey: ChosenDrive) -> TextTable:
         "risk %: share of its drives that fail, with 95 % below that of to %; ~ not yet driven on fresh soils; m, J: "
         "length and work of the way; limit: which is nearest, or most often broken, at so many m of the "
         "way; m left, m right in a drive's name: how far its way lies beside the direct one",
-        f"* not beaten in risk, length and energy at once; {len(choice.candidates)} drives compared, {stopped} stopped "
-        f"early, of which {len(choice.candidates) - len(rows)} are left out here: --csv",
+        f"*: no other drive is better in risk, length and energy together; drives compared: {len(choice.candidates)}; "
+        f"stopped early: {stopped}; not in this table, but in --csv: {len(choice.candidates) - len(rows)}",
         f"end within {survey.tolerance_m:g} m of the target",
         *survey.soils.inputs.soil_notes(survey.members, 0),
         *survey.notes(),

@@ -461,7 +461,7 @@ def _chosen(result: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 def _choices(result: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """What was not decided of each spectrum; of many how many have which answer."""
     weak = [one for one in _chosen(result) if not one["choice"].get("strong")]
-    open_ones = [(str(one.get("id")), f"by weak evidence: {standing_of(one['choice'])}") for one in weak]
+    open_ones = [(str(one.get("id")), f"by weak evidence, {standing_of(one['choice'])}") for one in weak]
     if len(open_ones) <= MOST_CHOICES:
         yield from open_ones
         return

@@ -106,29 +106,28 @@ def _fit_in_short(one: Result) -> str:
         return str(one["status"])
     chosen = one.get("choice") or {}
     minerals = standing_of(chosen) or one.get("assemblage", "bands")
-    shares = "shares of minerals determined" if _mineral_shares(one) else "shares not determined"
-    return f"{minerals}, {shares}"
+    return f"{minerals}; shares of the minerals: {'determined' if _mineral_shares(one) else 'not determined'}"
 
 
 def standing_of(choice: Mapping[str, Any]) -> str:
     """Which minerals are sure and which are open, as columns of the CSV have them; '' where nothing was chosen.
 
     >>> standing_of({"sure": ["olivine", "pyroxene"], "open": ["plagioclase"]})
-    'sure are olivine, pyroxene, open plagioclase'
+    'sure: olivine, pyroxene; open: plagioclase'
     """
     if "sure" not in choice:
         return str(choice.get("status", ""))
     sure, left = ", ".join(choice["sure"]), ", ".join(choice["open"])
-    return f"{f'sure are {sure}' if sure else 'no mineral is sure'}{f', open {left}' if left else ''}"
+    return f"{f'sure: {sure}' if sure else 'no mineral is sure'}{f'; open: {left}' if left else ''}"
 
 
 def _one_fit(one: Result) -> str:
-    """What its command says below its tables, then which assemblages cannot be told apart, and the pyroxenes."""
+    """What its command says below its tables, then which assemblages it does not distinguish, and the pyroxenes."""
     verdict = fit_verdict(one)
     family = (one.get("choice") or {}).get("family")
-    weak = "" if (one.get("choice") or {}).get("strong", True) else "By weak evidence; "
-    apart = "assemblages that cannot be told apart" if weak else "Assemblages that cannot be told apart"
-    chosen = f" {weak}{apart}: {', '.join(family)}." if family and len(family) > 1 else ""
+    first = "The" if (one.get("choice") or {}).get("strong", True) else "This is weak evidence: the"
+    apart = f"{first} spectrum does not distinguish the assemblages"
+    chosen = f" {apart} {', '.join(family)}." if family and len(family) > 1 else ""
     ratio = (one.get("nbsr") or {}).get("um2")
     strength = (
         f" Of the pyroxene bands at 2 µm, orthopyroxene makes {measured(ratio['opx'], ratio.get('sigma'))}."

@@ -204,13 +204,10 @@ def each(
     """A sentence for each; of more than a few how many have which `short` answer, or the sentences of the first."""
     if len(items) > MOST and short is not None:
         counts = Counter(short(item) for item in items)
-        kinds = "; ".join(f"{count}: {text}" for text, count in counts.most_common(MOST))
-        more = (
-            f"; {sum(counts.values()) - sum(c for _, c in counts.most_common(MOST))}: others"
-            if len(counts) > MOST
-            else ""
-        )
-        return f"Of {counted(len(items), thing)} {kinds}{more}."
+        kinds = [f"{count} of them: {text}." for text, count in counts.most_common(MOST)]
+        others = counts.total() - sum(count for _, count in counts.most_common(MOST))
+        more = [f"{others} of them: other answers."] if others else []
+        return " ".join([f"{counted(len(items), thing)}.", *kinds, *more])
     one_by_one = [sentence(item) for item in items[:MOST]]
     rest = [f"{counted(len(items), thing)} in all, those after the first {MOST} below."] if len(items) > MOST else []
     return " ".join([*one_by_one, *rest]) or f"No {thing}."

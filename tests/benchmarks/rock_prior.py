@@ -6,6 +6,7 @@ knew nothing of their suites; boulders of Chang'E-4, whose modes nobody knows, b
 """
 
 import sys
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +42,7 @@ def known_modes(folder: Path, networks: Path) -> None:
             own = np.flatnonzero(fold[rows] == k)
             parts[k] = own, foretell_each([spectra[row] for row in rows[own]], allowed[own], learned)
         order = np.argsort(np.concatenate([own for own, _ in parts.values()]))
-        names = ("probabilities", "ln_distance", "missing")
+        names = [one.name for one in fields(Foretold)]
         foretold = Foretold(*(np.concatenate([getattr(one, k) for _, one in parts.values()])[order] for k in names))
         dark = how_dark(find_kinds([spectra[row] for row in rows], "solid-rock"))
         alone = answer(foretold, allowed, dark, np.ones(rows.size))

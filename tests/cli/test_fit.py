@@ -214,6 +214,9 @@ def test_the_csv_has_intervals_compositions_and_the_choice(run, rock: Path) -> N
     auto = next(csv.DictReader(io.StringIO(run("spectra", "fit", rock, "--assemblage", "auto", "--csv").out)))
     assert auto["choice_strong"] in ("true", "false")
     assert 0 <= float(auto["probability_of_clinopyroxene"]) <= 1
+    shares = unmixed(run, rock)["abundance"]
+    present = fitted(run, rock, "--assemblage", "auto")["choice"]["present"]
+    assert present == {name: shares[name]["present"] for name in present} and len(present) == 4
 
 
 def test_a_stated_composition_takes_part_in_the_choice(run, rock: Path) -> None:

@@ -112,14 +112,14 @@ def test_what_is_open_of_several_spectra_is_told_with_their_names() -> None:
     few, more = (of("fit auto", spectra=many(count)) for count in (3, 12))
     said = [line for line in unknown(few) if "weak evidence" in line]
     assert said == [
-        "R0: by weak evidence: sure are pyroxene",
-        "R1; R2: by weak evidence: sure are pyroxene, open olivine",
+        "R0: by weak evidence, sure: pyroxene",
+        "R1; R2: by weak evidence, sure: pyroxene; open: olivine",
     ]
     assert [line for line in unknown(more) if "weak evidence" in line] == [
-        "11 spectra: by weak evidence: sure are pyroxene, open olivine",
-        "1 spectrum: by weak evidence: sure are pyroxene",
+        "11 spectra: by weak evidence, sure: pyroxene; open: olivine",
+        "1 spectrum: by weak evidence, sure: pyroxene",
     ]
-    assert "11: sure are pyroxene, open olivine" in answer(more).text
+    assert "11 of them: sure: pyroxene; open: olivine" in answer(more).text
     assert one["assemblage"] not in answer(more).text
 
 
@@ -281,7 +281,7 @@ def test_folders_pictures_and_nothing(tmp_path: Path) -> None:
 def test_a_match_that_decides_nothing_is_not_approved() -> None:
     rock = KNOWN["match modes"]["result"]["rocks"][0]
     undecided = rock | {"best": None, "status": "not decided: Finsen (0.59), Zhinyu (0.11) remain; composition says"}
-    clear = rock | {"best": "Finsen", "status": "likeliest Finsen (0.97); composition speaks strongly"}
+    clear = rock | {"best": "Finsen", "status": "likeliest Finsen (0.97); the composition favours it strongly"}
     nothing = {"untrusted": "", "warnings": []}
 
     def trust(*rocks: object) -> str:

@@ -83,7 +83,7 @@ class SoilPosterior:
     ----------
     mode : (p,) of the transformed parameters, in the order of `names`: those of `PARAMETERS`, and of `CONTACT` where
         the contact was unknown too.
-    covariance : (p, p) of these.
+    covariance : (p, p) of these: of the draws where they are sampled, else of the normal approximation.
     draws : (d, p) parameters in their units, from the posterior.
     prior : law of each parameter, by name.
     outliers : ids of states left out.
@@ -134,9 +134,19 @@ class SoilPosterior:
 
     @property
     def shrinkage(self) -> dict[str, float]:
-        """By parameter, 1 - posterior over prior standard deviation: 0 learned nothing, 1 everything. [-]"""
+        """By parameter, 1 - posterior over prior standard deviation: 0 learned nothing, 1 everything. [-]
+
+        Of a profile half the width of the 68 % interval stands for the posterior's deviation.
+        """
+        spread = self.sd
+        if self.profiled is not None:
+            low, high = (
+                np.array([float(self.prior[name].transformed(end[k])) for k, name in enumerate(self.names)])
+                for end in self.profiled[:2]
+            )
+            spread = 0.5 * (high - low)
         widths = [self.prior[name].width for name in self.names]
-        return {name: float(1 - sd / width) for name, sd, width in zip(self.names, self.sd, widths, strict=True)}
+        return {name: float(1 - sd / width) for name, sd, width in zip(self.names, spread, widths, strict=True)}
 
     @property
     def determined(self) -> tuple[str, ...]:
@@ -215,7 +225,10 @@ class SoilPosterior:
         size = len(PARAMETERS)
         covariance = self.covariance[:size, :size]
         laws = {name: self.prior[name] for name in PARAMETERS}
-        return SoilBelief(laws, self.mode[:size], 0.5 * (covariance + covariance.T), verdict=self.verdict)
+        center = self.mode[:size]
+        if self.how == "sample":
+            center = np.array([laws[name].transformed(self.draws[:, k]).mean() for k, name in enumerate(PARAMETERS)])
+        return SoilBelief(laws, center, 0.5 * (covariance + covariance.T), verdict=self.verdict)
 
 
 def infer_soil(
@@ -271,18 +284,19 @@ def infer_soil(
     if profile:
         start = point if best.alike == 1 else find_mode(part, point)[0]
         profiled = profile_limits(part, start, best.covariance, progress)
-    rng, autocorrelation = np.random.default_rng(seed), None
+    rng, autocorrelation, covariance = np.random.default_rng(seed), None, best.covariance
     if sample:
         drawn, autocorrelation = carry_population(
             part.ln_likelihood, fitted.center, fitted.width, min(draws, PARTICLES), rng, progress
         )
+        covariance = np.cov(drawn.T)
     else:
         drawn = point + rng.standard_normal((draws, len(point))) @ np.linalg.cholesky(best.covariance).T
     white = best.problem.white(point[None])[0][best.inliers]
     measured = np.isfinite(fitted.forces[best.inliers])
     return SoilPosterior(
         point,
-        best.covariance,
+        covariance,
         values_of(laws, drawn),
         laws,
         tuple(np.array(states.id)[usable][~best.inliers].tolist()),

@@ -25,12 +25,11 @@ and 95 % intervals."""
 
 @dataclass(frozen=True, slots=True)
 class MineralFraction:
-    """Share of one mineral: mean and median of its posterior, and the shortest intervals that hold 68 and 95 % of it.
+    """Share of one mineral: the mean of its posterior, and intervals of 68 and 95 % about it.
 
-    By volume; of `nbsr` in pyroxene, with central intervals. `fraction`, the mean, is NaN where the share is not
-    determined: there is an interval, and no centre. Means of all minerals sum to 1; near a share of 0 or 1 they lie
-    beyond most of the probability, so that it is `median` that stands beside the intervals, which always hold it.
-    `present` is the probability of more than 5 %, NaN where the method has none. [-]
+    By volume; of `nbsr` in pyroxene, with central intervals. `fraction` is the mean: means of all minerals sum to 1. It
+    is NaN where the share is not determined: there is an interval, and no centre. `median` is that of the same
+    posterior, NaN where the method has none; `present` the probability of more than 5 %, NaN likewise. [-]
     """
 
     mineral: str
@@ -41,11 +40,6 @@ class MineralFraction:
     high95: float
     present: float = math.nan
     median: float = math.nan
-
-    @property
-    def quoted(self) -> float:
-        """The median; the mean of a method that has none. [-]"""
-        return self.fraction if math.isnan(self.median) else self.median
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,7 +99,8 @@ class Abundance:
 
 def _values(item: MineralFraction) -> dict[str, float]:
     """The numbers of a share as JSON has them."""
-    return {name: getattr(item, name) for name in (*VALUE_AND_ENDS, "present")} | {"median": item.quoted}
+    median = item.fraction if math.isnan(item.median) else item.median
+    return {name: getattr(item, name) for name in (*VALUE_AND_ENDS, "present")} | {"median": median}
 
 
 def open_share(name: str) -> MineralFraction:

@@ -14,11 +14,14 @@ from lunarsci.minerals import MINERALS
 from lunarsci.options import request_of
 from lunarsci.result import NOT_TO_BE_TRUSTED, Doubt, MadeFrom, Progress, Result, job
 from lunarsci.spectra.abundance.kinds import TABLE as KINDS_TABLE
+from lunarsci.spectra.abundance.learned import TABLE as NETWORKS
 from lunarsci.spectra.abundance.nbsr import TABLE as NBSR_TABLE
 from lunarsci.spectra.abundance.nbsr import PyroxeneAbundances, nbsr_abundances
 from lunarsci.spectra.abundance.result import Abundance
+from lunarsci.spectra.abundance.shares import TABLE as CALIBRATION
 from lunarsci.spectra.collection import Picked
 from lunarsci.spectra.jobs.requests import FitRequest, ModelRequest
+from lunarsci.spectra.jobs.unmix import LEARNED, presence
 from lunarsci.spectra.jobs.verdicts import with_causes
 from lunarsci.spectra.mgm import PERCENT_OF, MgmContinuum
 from lunarsci.spectra.mgm.assemblages import TABLES as BAND_TABLES
@@ -66,6 +69,7 @@ class MgmFits(Result):
     batch, request : the spectra, and what was asked.
     fits : one fit, or one stated reason, for each spectrum.
     choices, intervals : by position, where they were asked for.
+    present : of choices, by position, the probability of more than 5 % of each mineral as `unmix` gives it.
     abundances : shares of pyroxenes by NBSR, by position: one, or none where there is no ratio.
     failures, files : what gave no fit, one sentence each; the start, and what else was read beside the spectra.
     """
@@ -75,6 +79,7 @@ class MgmFits(Result):
     request: ModelRequest
     fits: Sequence[MgmFit | MgmFailure]
     choices: Mapping[int, Choice] = field(default_factory=dict)
+    present: Mapping[int, Mapping[str, float | None]] = field(default_factory=dict)
     intervals: Mapping[int, Intervals] = field(default_factory=dict)
     abundances: Mapping[int, Sequence[Abundance]] = field(default_factory=dict)
     failures: Sequence[Failure] = ()
@@ -98,7 +103,8 @@ class MgmFits(Result):
         )
 
     def _tables_and_sources(self) -> tuple[list[str], list[str]]:
-        return [*BAND_TABLES, NBSR_TABLE, KINDS_TABLE], [MGM, NBSR]
+        shares, learned = ((NETWORKS, CALIBRATION), (LEARNED,)) if self.choices else ((), ())
+        return [*BAND_TABLES, NBSR_TABLE, KINDS_TABLE, *shares], [MGM, NBSR, *learned]
 
     @property
     def doubt(self) -> Doubt:
@@ -145,7 +151,7 @@ class MgmFits(Result):
         return item.to_dict() | {
             "source": origin,
             "compositions": {one.key: asdict(one) for one in compositions(item)} if isinstance(item, MgmFit) else {},
-            "choice": choice.to_dict() if choice else None,
+            "choice": choice.to_dict() | {"present": self.present.get(index)} if choice else None,
             "intervals": intervals.to_dict() if intervals else None,
             "abundance": result[0].to_dict() if result else None,
         }
@@ -268,4 +274,5 @@ def _chosen(spectra: Sequence[Spectrum], request: ModelRequest, progress: Progre
             fits[index] = item
             if isinstance(item, MgmFit) and item.converged:
                 choices[index] = replace(choices[index], beyond=beyond_any(item))
-    return {"fits": fits, "choices": choices}
+    present = dict(zip(choices, presence([spectra[index] for index in choices]), strict=True))
+    return {"fits": fits, "choices": choices, "present": present}

@@ -159,7 +159,7 @@ def match(
     """Match rocks with candidate craters.
 
     `rocks` are results of `unmix`, `fit` and `bands`, one or many: files of their JSON, patterns, open files, or the
-    results themselves; the same id in two is one rock. Of spectra the shares are those of `unmix`. None with `modes` or
+    results themselves; the same id in two is one rock. Spectra are unmixed first, as by `unmix`. None with `modes` or
     `bands`, which describe one.
 
     Raises DataError when no rock can be read, ParameterError where no crater can have delivered one.

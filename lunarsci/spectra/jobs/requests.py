@@ -132,13 +132,13 @@ class ModelRequest:
 
     Attributes
     ----------
-    assemblage : Minerals whose bands are fitted: OL, OPX, CPX, PLG, joined by hyphens; auto compares all, takes the
-        most probable and names those that cannot be told apart (with its own model error, not `model_error`).
+    assemblage : Minerals whose bands are fitted: OL, OPX, CPX, PLG, joined by hyphens. auto compares all assemblages,
+        fits the most probable one, and names those that the spectrum does not distinguish.
     continuum : Polynomial inside the logarithm, in wavelength or wavenumber; log-quadratic: of the logarithm.
     composition : What is known of Fo, Fs, Wo in mol %, such as fo=70:5; shifts expected band centres.
     start : Bands, continuum and their uncertainties from a start or result file of the RELAB MGM program, instead of
         `assemblage` and `continuum`; all channels are fitted.
-    band_minerals : Minerals of the bands of --start-file, by their number, for the ratios of strengths; a comment
+    band_minerals : Minerals of the bands of `start`, by their number, for the ratios of strengths; a comment
         behind the values of a band names one, too.
     prior : map: priors count as measurements; damping: they only slow the iteration, as in the RELAB MGM program.
     model_error : Error of ln R for what the model cannot explain, added to the noise; above 0, below 1. By default

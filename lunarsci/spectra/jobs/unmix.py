@@ -217,6 +217,21 @@ def unmix(
     )
 
 
+def presence(spectra: Sequence[Spectrum]) -> list[dict[str, float | None]]:
+    """Of each spectrum the probability of more than 5 % of each mineral, as `unmix` without options gives it.
+
+    None for a weathered soil, which has no shares.
+    """
+    kinds = find_kinds(spectra)
+    mixed = [index for index, kind in enumerate(kinds) if kind.kind != "weathered-soil"]
+    result: list[dict[str, float | None]] = [dict.fromkeys(WEIGHED) for _ in spectra]
+    shares = _shares([spectra[k] for k in mixed], [kinds[k] for k in mixed], WEIGHED, StatedModes({}, {}), None,
+                     UnmixRequest(), None)  # fmt: skip
+    for index, one in zip(mixed, shares, strict=True):
+        result[index] = {item.mineral: item.present for item in one.fractions}
+    return result
+
+
 def _chondrites(spectra: Sequence[Spectrum], kinds: Sequence[KindVerdict]) -> dict[int, dict[str, Any] | None]:
     dark = [index for index, kind in enumerate(kinds) if kind.kind == "dark-rock-powder"]
     if not dark:

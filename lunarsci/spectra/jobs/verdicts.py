@@ -256,5 +256,5 @@ def _likely(shares: Mapping[str, Any]) -> list[str]:
 
 def _percent(share: Mapping[str, Any]) -> str:
     determined = share["fraction"] is not None and math.isfinite(share["fraction"])
-    value = f"{100 * share['median']:.0f} %" if determined else "not determined"
+    value = f"{100 * share['fraction']:.0f} %" if determined else "not determined"
     return f"{value} (95 %: {100 * share['low95']:.0f} to {100 * share['high95']:.0f})"

@@ -618,18 +618,18 @@ def _status(rock: Rock, matches: Sequence[CraterMatch], other: float, decided: b
     if decided and left[0][0] == OTHER:
         return "goes with none of the craters whose composition is known: another source is likelier than all of them"
     if decided:
-        return f"likeliest {first}; composition speaks strongly"
+        return f"likeliest {first}; the composition favours it strongly"
     if len(left) == 1 and not rock.untested:
         if inside := _fitting_inside(matches, left[0][0]):
             return f"{remain}; composition goes as well with {inside}, in which the site lies: it may be of its floor"
         return f"{remain} by the prior; composition adds less than 20 : 1 for it"
-    factors = [item.ln_bayes_factor for item in matches if not item.contains_site]
-    spread = max(factors) - min(factors)
+    factors = {item.crater.name: item.ln_bayes_factor for item in matches if not item.contains_site}
+    spread, favoured = max(factors.values()) - min(factors.values()), max(factors, key=lambda name: factors[name])
     if spread < DECIDES:
         return f"{remain}; composition hardly decides, the prior does (ln Bayes factors differ by {spread:.1f})"
-    held = ", if its shares hold, which are not to be quoted: they are outside of what was tested"
-    strongly = f"composition speaks strongly (ln Bayes factors differ by {spread:.1f})"
-    return f"{remain}; {strongly}{held if rock.untested else ''}"
+    strongly = f"the composition strongly favours {favoured} (ln Bayes factors of the craters differ by {spread:.1f})"
+    untested = "; do not rely on it: the method was not tested on rocks like this one, so its shares may be wrong"
+    return f"{remain}; {strongly}{untested if rock.untested else ''}"
 
 
 def assumptions(

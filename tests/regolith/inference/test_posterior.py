@@ -113,6 +113,19 @@ def test_what_the_states_cannot_tell_stays_as_wide_as_the_prior() -> None:
         assert name not in posterior.determined
 
 
+def test_what_is_left_of_the_prior_is_that_of_the_intervals_shown() -> None:
+    """Few, scattered states: the width that is left is that of the draws, and half a profile's 68 % interval."""
+    rng = np.random.default_rng(2)
+    states = measured(drawn_soil(rng), 4, rng)
+    sampled, profiled = infer_soil(states, WHEEL, sample=True), infer_soil(states, WHEEL, profile=True)
+    for place, name in enumerate(sampled.names):
+        law = sampled.prior[name]
+        spread = law.transformed(sampled.draws[:, place]).std(ddof=1)
+        assert 1 - sampled.shrinkage[name] == pytest.approx(spread / law.width, rel=1e-6), name
+        half = np.ptp(law.transformed(np.array(profiled.intervals()[name][1:3]))) / 2
+        assert 1 - profiled.shrinkage[name] == pytest.approx(half / law.width, rel=1e-6), name
+
+
 def test_a_wrong_state_is_left_out_and_changes_little() -> None:
     rng = np.random.default_rng(6)
     states = measured(drawn_soil(rng), 30, rng)

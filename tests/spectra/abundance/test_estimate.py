@@ -51,14 +51,16 @@ SEVERAL = np.array([[0.8, 0.2, 0.0], [0.5, 0.3, 0.2], [0.2, 0.3, 0.5], [0.1, 0.8
 
 
 NOMINAL = {
-    (name, term): level for name, level in (("level68", 0.6827), ("level95", 0.95)) for term in ("alone", "mixed")
+    (name, term): level if term != "missing" else 0.0
+    for name, level in (("level68", 0.6827), ("level95", 0.95))
+    for term in ("alone", "mixed", "series", "missing")
 }
 
 
 def told(found: Mixed, minerals: Sequence[str]) -> list[list[MineralFraction]]:
-    """Means and shortest intervals of each spectrum, as drawn."""
+    """Means and intervals of each spectrum, as drawn."""
     count = len(found.probabilities)
-    plain = CalibratedShares(found.probabilities, np.zeros(count), np.ones(count))
+    plain = CalibratedShares(found.probabilities, np.zeros(count), np.ones(count), np.zeros(count))
     ends = np.concatenate(plain.intervals(NOMINAL), axis=-1)
     places = [WEIGHED.index(name) for name in minerals]
     return [[MineralFraction(WEIGHED[k], float(plain.mean[row, k]), *ends[row, k].tolist()) for k in places]

@@ -179,12 +179,12 @@ def test_what_of_shares_may_be_quoted_is_said() -> None:
         "normative": None,
         "abundance": shares | {"ratios": {}},
     }
-    told = "orthopyroxene 49 % (95 %: 10 to 89)"
+    told = "orthopyroxene 45 % (95 %: 10 to 89)"
     assert shares_verdict(record) == f"uncertain; quote the 95 % intervals alone: {told}; likely there: orthopyroxene"
     ratio = {"olivine_in_mafic": {"fraction": 0.3, "median": 0.28, "low95": 0.0, "high95": 0.75}}
     rock = record | {"abundance": shares | {"in_domain": True, "ratios": ratio}}
     assert shares_verdict(rock).startswith(told)
-    assert shares_verdict(rock).endswith("; ratios: olivine in mafic 28 % (95 %: 0 to 75)")
+    assert shares_verdict(rock).endswith("; ratios: olivine in mafic 30 % (95 %: 0 to 75)")
     open_one = record | {"abundance": shares | {"orthopyroxene": share | {"fraction": None}, "status": "nothing known"}}
     assert shares_verdict(open_one) == "no share to be quoted: nothing known"
     absent = record | {"abundance": shares | {"orthopyroxene": share | {"low95": 0.0}, "ratios": {}}}

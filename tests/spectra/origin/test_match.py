@@ -84,7 +84,7 @@ def two_craters(near: dict[str, Any] | None, far: dict[str, Any] | None, **prior
 def test_a_crater_is_decided_where_composition_tells_it_from_all_others() -> None:
     match = two_craters(OPPOSITE, CLEAR, kind="uniform")
     assert (match.best, match.remaining) == ("far", ("far",))
-    assert match.status == f"likeliest far ({match.craters[1].posterior:.2f}); composition speaks strongly"
+    assert match.status == f"likeliest far ({match.craters[1].posterior:.2f}); the composition favours it strongly"
 
 
 def test_a_rock_as_that_of_the_crater_it_lies_in_is_not_decided() -> None:
@@ -205,9 +205,9 @@ def test_composition_from_shares_that_are_not_to_be_quoted_says_so() -> None:
     )
     craters = with_modes("Zhinyu", dict(rock.composition.modes))
     tested, untested = matched(rock, craters), matched(replace(rock, untested=True), craters)
-    assert tested.status.partition("; ")[2].startswith("composition speaks strongly")
-    assert "not to be quoted" not in tested.status
-    assert "if its shares hold, which are not to be quoted" in untested.status
+    assert tested.status.partition("; ")[2].startswith("the composition strongly favours ")
+    assert "not tested" not in tested.status
+    assert "do not rely on it: the method was not tested on rocks like this one" in untested.status
     assert not untested.decided
 
 
