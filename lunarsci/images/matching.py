@@ -136,40 +136,22 @@ def refine(
     shape = left.shape
     refined = Refined(*(np.full(shape, np.nan) for _ in Refined._fields))
     grids = [np.ascontiguousarray(a, dtype=np.float32) for a in (left, right)]
-    starts = [np.ascontiguousarray(a, dtype=float) for a in (first, *slopes)]
+    starts = tuple(np.ascontiguousarray(a, dtype=float) for a in (first, *slopes))
     blocks = [(low, min(low + ROWS * step_px, shape[0])) for low in range(0, shape[0], ROWS * step_px)]
-    each_in_threads(lambda n: _refine_rows(*grids, *starts, *blocks[n], half_px, step_px, rows, *refined), len(blocks))
+    each_in_threads(lambda n: _refine_rows(*grids, starts, *blocks[n], half_px, step_px, rows, refined), len(blocks))
     return refined
 
 
 @compiled(error_model="numpy", fastmath={"contract", "nsz", "reassoc", "arcp"})
-def _refine_rows(  # type: ignore[no-untyped-def]
-    left,
-    right,
-    first,
-    first_u,
-    first_v,
-    low,
-    high,
-    half,
-    step,
-    rows,
-    disparity,
-    sigma,
-    slope_u,
-    slope_v,
-    misfit,
-    offset,
-):
-    """Refine pixels of the rows from `low` to below `high`, and write them into the last six, fields of `Refined`.
+def _refine_rows(left, right, starts, low, high, half, step, rows, refined):  # type: ignore[no-untyped-def]
+    """Refine pixels of the rows from `low` to below `high`, and write them into `refined`, a `Refined`.
 
-    `first`, `first_u`, `first_v` : disparity to begin with and its slopes (h, w); `half`, `step`, `rows` : as `refine`
-    takes them, in pixels. The unknowns, `values`, are disparity, its slopes along u and v, gain and offset of the
-    light, and the distance of the rows.
+    `starts` : disparity to begin with and its slopes along u and v (h, w) each; `half`, `step`, `rows` : as `refine`
+    takes them, in pixels. The unknowns, `values`, are offset and gain of the light, slopes of the disparity along u and
+    v, the distance of the rows, and the disparity.
     """
-    count = 6 if rows else 5
-    normal, rhs = np.empty((6, 6)), np.empty(6)
-    row, values = np.empty(6), np.empty(6)
+    first, first_u, first_v = starts
+    normal, rhs, values = np.empty((6, 6)), np.empty(6), np.empty(6)
     height, width = left.shape
     for v in range(low, high, step):
         if v < half + 1 or v >= height - half - 1:
@@ -178,83 +160,87 @@ def _refine_rows(  # type: ignore[no-untyped-def]
             start = first[v, u]
             if not np.isfinite(start):
                 continue
-            values[0], values[1], values[2], values[3], values[4], values[5] = (
-                start,
-                first_u[v, u],
-                first_v[v, u],
-                1,
-                0,
-                0,
-            )
-            good, change = True, 1.0
-            total = 0.0
+            values[:] = 0.0
+            values[1], values[2], values[3], values[5] = 1.0, first_u[v, u], first_v[v, u], start
+            good, change, total = True, 1.0, 0.0
             for _ in range(STEPS):
-                total = _normal_equations(left, right, u, v, half, values, normal, rhs, row, count)
-                if total < 0.0 or not _solved(normal, rhs, count):
-                    good = False
+                total = _normal_equations(left, right, u, v, half, values, normal, rhs, rows)
+                good = total >= 0.0 and _solved(normal, rhs)
+                if not good:
                     break
-                change = abs(rhs[0])
-                for k in range(count):
+                change = abs(rhs[5])
+                for k in range(6):
                     values[k] += rhs[k]
-                if abs(values[0] - start) > FARTHEST_PX or abs(values[1]) > STEEPEST or abs(values[2]) > STEEPEST:
-                    good = False
-                    break
-                if change < SMALL_STEP_PX:
+                good = abs(values[5] - start) <= FARTHEST_PX and max(abs(values[2]), abs(values[3])) <= STEEPEST
+                if not good or change < SMALL_STEP_PX:
                     break
             if good and change < 10 * SMALL_STEP_PX:
-                pixels = (2 * half + 1) ** 2
-                disparity[v, u], slope_u[v, u], slope_v[v, u] = values[0], values[1], values[2]
-                sigma[v, u] = np.sqrt(total / (pixels - count) * _first_of_inverse(normal, count))
-                misfit[v, u] = np.sqrt(total / max(_spread(left, u, v, half), 1e-12))
-                offset[v, u] = values[5] if rows else 0.0
+                freedom = (2 * half + 1) ** 2 - (6 if rows else 5)
+                refined.disparity[v, u], refined.row_offset[v, u] = values[5], values[4]
+                refined.slope_u[v, u], refined.slope_v[v, u] = values[2], values[3]
+                # The disparity is the last unknown: of its variance the factor's last number says all.
+                refined.sigma[v, u] = np.sqrt(total / freedom) / normal[5, 5]
+                refined.misfit[v, u] = np.sqrt(total / max(_spread(left, u, v, half), 1e-12))
 
 
 @compiled(error_model="numpy", fastmath={"contract", "nsz", "reassoc", "arcp"})
-def _normal_equations(left, right, u, v, half, values, normal, rhs, row, count):  # type: ignore[no-untyped-def]
+def _normal_equations(left, right, u, v, half, values, normal, rhs, rows):  # type: ignore[no-untyped-def]
     """Sum of squares left of the light; negative where the window leaves the right picture.
 
-    Fills `normal` (6, 6), its lower triangle, and `rhs` (6,) for the `count` unknowns at `values` (6,) of the window
-    about (u, v); `row` (6,) is room for the derivatives at a pixel.
+    Fills `normal` (6, 6), its lower triangle, and `rhs` (6,) for the unknowns at `values` (6,) of the window about
+    (u, v). Names of sums of a row: of s, the light's change with the disparity, of the light g, of m, what is missing
+    of it, and of the column u.
     """
     normal[:], rhs[:], total = 0.0, 0.0, 0.0
-    width = right.shape[1]
-    gain, level = values[3], values[4]
+    level, gain = values[0], values[1]
     for dv in range(-half, half + 1):
         line = right[v + dv]
+        s, su, sg, sgu, ss, ssu, ssuu, sm, smu = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for du in range(-half, half + 1):
-            x = u + du - values[0] - values[1] * du - values[2] * dv
+            x = u + du - values[5] - values[2] * du - values[3] * dv
             i = int(np.floor(x))
-            if i < 1 or i > width - 3:
+            if i < 1 or i > right.shape[1] - 3:
                 return -1.0
             t = x - i
             a, b, c, d = line[i - 1], line[i], line[i + 1], line[i + 2]
             # Catmull & Rom (1974): value and slope between four pixels.
             p, q, r = 0.5 * (c - a), a - 2.5 * b + 2.0 * c - 0.5 * d, 0.5 * (d - a) + 1.5 * (b - c)
-            light = b + t * (p + t * (q + t * r))
-            slope = p + t * (2.0 * q + 3.0 * t * r)
-            missing = left[v + dv, u + du] - gain * light - level
-            row[0] = -gain * slope
-            row[1], row[2], row[3], row[4] = row[0] * du, row[0] * dv, light, 1.0
-            if count == 6:
-                row[5] = (
-                    gain
-                    * 0.5
-                    * (right[v + dv + 1, i if t < 0.5 else i + 1] - right[v + dv - 1, i if t < 0.5 else i + 1])
-                )
-                missing -= row[5] * values[5]
+            g = b + t * (p + t * (q + t * r))
+            slope = -gain * (p + t * (2.0 * q + 3.0 * t * r))
+            missing = left[v + dv, u + du] - gain * g - level
+            if rows:
+                near = i if t < 0.5 else i + 1
+                across = 0.5 * gain * (right[v + dv + 1, near] - right[v + dv - 1, near])
+                missing -= across * values[4]
+                for k, by in enumerate((1.0, g, slope * du, slope * dv, across)):
+                    normal[4, k] += across * by
+                normal[5, 4] += across * slope
+                rhs[4] += across * missing
             total += missing * missing
-            for k in range(count):
-                rhs[k] += row[k] * missing
-                for m in range(k + 1):
-                    normal[k, m] += row[k] * row[m]
+            s, su, sg, sgu = s + slope, su + slope * du, sg + slope * g, sgu + slope * g * du
+            ss, ssu, ssuu = ss + slope * slope, ssu + slope * slope * du, ssuu + slope * slope * du * du
+            sm, smu = sm + slope * missing, smu + slope * missing * du
+            normal[1, 0], normal[1, 1] = normal[1, 0] + g, normal[1, 1] + g * g
+            rhs[0], rhs[1] = rhs[0] + missing, rhs[1] + g * missing
+        for k, by in enumerate((su, sgu, ssuu)):
+            normal[2, k] += by
+        for k, by in enumerate((s, sg, ssu, dv * ss)):
+            normal[3, k] += dv * by
+        for k, by in enumerate((s, sg, ssu, dv * ss)):
+            normal[5, k] += by
+        normal[5, 5] += ss
+        rhs[2], rhs[3], rhs[5] = rhs[2] + smu, rhs[3] + dv * sm, rhs[5] + sm
+    normal[0, 0] = (2 * half + 1) ** 2
+    if not rows:
+        normal[4, 4] = 1.0
     return total
 
 
 @compiled(error_model="numpy")
-def _solved(normal, rhs, count):  # type: ignore[no-untyped-def]
+def _solved(normal, rhs):  # type: ignore[no-untyped-def]
     """Cholesky in place: the lower triangle of `normal` (6, 6) becomes its factor, `rhs` (6,) the solution; False where
-    it has none. The first `count` unknowns alone."""
-    for k in range(count):
+    it has none."""
+    for k in range(6):
         for m in range(k + 1):
             total = normal[k, m]
             for n in range(m):
@@ -265,29 +251,15 @@ def _solved(normal, rhs, count):  # type: ignore[no-untyped-def]
                 if not total > 1e-9 * normal[k, k] + 1e-30:
                     return False
                 normal[k, k] = np.sqrt(total)
-    for k in range(count):
+    for k in range(6):
         for n in range(k):
             rhs[k] -= normal[k, n] * rhs[n]
         rhs[k] /= normal[k, k]
-    for k in range(count - 1, -1, -1):
-        for n in range(k + 1, count):
+    for k in range(5, -1, -1):
+        for n in range(k + 1, 6):
             rhs[k] -= normal[n, k] * rhs[n]
         rhs[k] /= normal[k, k]
     return True
-
-
-@compiled(error_model="numpy")
-def _first_of_inverse(factor, count):  # type: ignore[no-untyped-def]
-    """First diagonal element of the inverse of a matrix of which `factor` is the Cholesky factor, `count` rows."""
-    total = 0.0
-    column = np.zeros(6)
-    for k in range(count):
-        value = 1.0 if k == 0 else 0.0
-        for n in range(k):
-            value -= factor[k, n] * column[n]
-        column[k] = value / factor[k, k]
-        total += column[k] ** 2
-    return total
 
 
 @compiled(error_model="numpy")
@@ -475,7 +447,7 @@ def _weighed(
     smooth, slopes = field.disparity, (field.slope_u, field.slope_v)
     one = refine(left, right, smooth, slopes)
     elsewhere = ~(np.abs(first - one.disparity) < STARTS_PX)
-    two = refine(left, right, np.where(elsewhere, first, np.nan), _slopes(first))
+    two = refine(left, right, np.where(elsewhere, first, np.nan), _Planes.of(first, 11)[1:3])
     apart = (one.disparity - smooth) ** 2 - one.variance
     relief = np.maximum(_mean_in_window(apart, 2 * (2 * HALF_PX + 1))[0], 0.0)
     wide = np.nan_to_num(field.variance + relief, nan=1e6)
@@ -498,19 +470,18 @@ def _mixture(one: Refined, two: Refined, field: FloatArray, wide: FloatArray) ->
     times Cauchy's law about the `field` (h, w) [px], whose variance is `wide` (h, w) [px2]: rocks are off it by far.
     """
     free = ((2 * HALF_PX + 1) ** 2 - 5) / CORRELATED**2
-    valid = [np.isfinite(a.disparity) for a in (one, two)]
-    squares = [np.where(v, a.misfit**2, np.inf) for v, a in zip(valid, (one, two), strict=True)]
-    least = np.minimum(*squares)
+    table = np.array([(a.disparity, a.variance, a.misfit) for a in (one, two)])
+    places, errors, misfits = table.swapaxes(0, 1)
+    none = np.isnan(places)
+    squares = np.where(none, np.inf, misfits**2)
     with np.errstate(invalid="ignore"):
-        about = [1.0 + np.nan_to_num((a.disparity - field) ** 2 / wide) for a in (one, two)]
-        weights = [np.exp(-0.5 * free * (s / least - 1.0)) / a for s, a in zip(squares, about, strict=True)]
-        weights = [np.nan_to_num(w / (weights[0] + weights[1])) for w in weights]
-    places = [np.where(v, a.disparity, 0.0) for v, a in zip(valid, (one, two), strict=True)]
-    errors = [np.where(v, a.variance, 0.0) for v, a in zip(valid, (one, two), strict=True)]
-    mean = sum(w * d for w, d in zip(weights, places, strict=True))
-    variance = sum(w * (e + (d - mean) ** 2) for w, d, e in zip(weights, places, errors, strict=True))
-    none = ~(valid[0] | valid[1])
-    return np.where(none, np.nan, mean), np.where(none, np.nan, variance)
+        about = 1.0 + np.nan_to_num((places - field) ** 2 / wide)
+        weights = np.exp(-0.5 * free * (squares / squares.min(axis=0) - 1.0)) / about
+        weights = np.nan_to_num(weights / weights.sum(axis=0))
+    places[none] = errors[none] = 0.0
+    mean = (weights * places).sum(axis=0)
+    variance = (weights * (errors + (places - mean) ** 2)).sum(axis=0)
+    return np.where(none.all(axis=0), np.nan, mean), np.where(none.all(axis=0), np.nan, variance)
 
 
 def _warped(values: npt.NDArray[Any], places: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
@@ -636,22 +607,9 @@ def _field(left: npt.NDArray[np.float32], right: npt.NDArray[np.float32], first:
         weight = np.nan_to_num(1.0 / (windows.sigma**2 + SMALLEST_SIGMA_PX**2))
         planes = _Planes.of(windows.disparity, WIDE_SMOOTH_PX, weight)
         planes = planes._replace(middle=np.where(np.isfinite(planes.middle), planes.middle, ratio * middle))
-    level = LEVELS[-1]
-    layers = (
-        level * planes.middle,
-        level * windows.sigma,
-        planes.slope_u,
-        planes.slope_v,
-        windows.misfit,
-        windows.row_offset,
-    )
-    return Refined(*(_scaled(a, (tall, wide))[: shape[0], : shape[1]] for a in layers))
-
-
-def _slopes(first: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Change of disparity along u and v, smoothed; 0 where it is not known. (h, w) [px/px]"""
-    planes = _Planes.of(first, 11)
-    return planes.slope_u, planes.slope_v
+    disparity, sigma = level * planes.middle, level * windows.sigma
+    windows = windows._replace(disparity=disparity, sigma=sigma, slope_u=planes.slope_u, slope_v=planes.slope_v)
+    return Refined(*(_scaled(a, (tall, wide))[: shape[0], : shape[1]] for a in windows))
 
 
 def _rows_in_line(
@@ -666,7 +624,7 @@ def _rows_in_line(
     height, width = right.shape
     grid = np.mgrid[:height, :width].astype(np.float32)
     for _ in range(2):
-        refined = refine(pictures[0], right, first, _slopes(first), step_px=12, rows=True)
+        refined = refine(pictures[0], right, first, _Planes.of(first, 11)[1:3], step_px=12, rows=True)
         good = (refined.variance < LARGEST_SIGMA_PX**2) & (np.abs(refined.row_offset) < LARGEST_ROW_PX)
         if good.sum() < 50:
             return total, right
