@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 
 Given = ParamSpec("Given")
 Returned = TypeVar("Returned")
+Figures: TypeAlias = "Iterator[Figure]"
+"""Pictures of a result, page by page."""
 Progress: TypeAlias = Callable[[int, int], None]
 """What a job calls as it goes on: how much is done, and how much there is."""
 UNITS = {
@@ -287,7 +289,7 @@ class Result(ABC):
         """The same where none of the columns wanted is of a part, as a band of a spectrum is: one of each thing."""
         return self.rows()
 
-    def figures(self) -> "Iterator[Figure]":
+    def figures(self) -> Figures:
         """The pages of `--plot`."""
         return iter(())
 

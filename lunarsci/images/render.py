@@ -10,7 +10,7 @@ import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled, each_in_threads
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.images import Law
 from lunarsci.images.camera import Camera, Pose, StereoRig
 from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.ranges import refuse
@@ -43,8 +44,6 @@ ROCK_ALBEDO = 1.15
 """Reflectance of rocks over the ground's: assumed. [-]"""
 LIFT_M = 1e-5
 """How far over a surface a ray begins that leaves it. [m]"""
-Law = Literal["lommel-seeliger", "hapke"]
-"""How the ground scatters light."""
 SKY, GROUND, ROCK = 0, 1, 2
 """What a ray meets, as numbers of `Seen.kind` and `PixelTruth.kind`."""
 SUN_RADIUS_RAD = math.radians(0.2666)

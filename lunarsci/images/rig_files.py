@@ -40,7 +40,7 @@ from lunarsci.images.camera import (
     vector_of,
 )
 from lunarsci.images.labels import COARSE_PX, fit_cahv, read_label, rig_of_labels
-from lunarsci.images.pictures import open_cv
+from lunarsci.images.pictures import Picture, open_cv
 from lunarsci.io.documents import json_document, toml_document, xml_root, yaml_document
 from lunarsci.io.inputs import InputFile, beginning, read_input, text
 from lunarsci.ranges import refuse
@@ -733,13 +733,14 @@ def _quoted(words: str) -> str:
     return '"' + words.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
-def check_rig_of(rig: StereoRig, width_px: int, height_px: int, name: str) -> None:
-    """Raise DataError where a picture cannot be of a rig's camera."""
-    if (width_px, height_px) == rig.left.size == rig.right.size:
-        return
-    size = " x ".join(map(str, rig.left.size))
-    turned = "; it seems to be turned" if (height_px, width_px) == rig.left.size else "; is it another rig's?"
-    raise DataError(f"{name}: {width_px} x {height_px} px, and {rig.name} takes pictures of {size}{turned}")
+def check_pictures(rig: StereoRig, pictures: Sequence[Picture]) -> None:
+    """Raise DataError where a picture cannot be of a rig's camera, or shows nothing."""
+    for picture in pictures:
+        if not picture.size == rig.left.size == rig.right.size:
+            given, needed = (" x ".join(map(str, size)) for size in (picture.size, rig.left.size))
+            turned = "it seems to be turned" if picture.size[::-1] == rig.left.size else "is it another rig's?"
+            raise DataError(f"{picture.source.name}: {given} px, and {rig.name} takes pictures of {needed}; {turned}")
+        picture.check()
 
 
 def read_pose(source: str | InputFile) -> Pose:

@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -30,11 +30,7 @@ from lunarsci.images.rig_files import camera_text, rig_text
 from lunarsci.io.inputs import InputFile
 from lunarsci.options import request_of
 from lunarsci.ranges import refuse
-from lunarsci.result import Doubt, Result, job
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
+from lunarsci.result import Doubt, Figures, Result, job
 
 SOURCES = [
     "Brown (1971), Photogramm. Eng. 37, 855: lens distortion",
@@ -112,7 +108,8 @@ class CalibratedCameras(Result):
         cameras = [
             {"width_px": camera.width_px, "height_px": camera.height_px}
             | self._numbers(k)
-            | {"residual_rms_px": _rms(fit.residuals[k]), "seen_share": _seen_share(fit, k)}
+            | {"residual_rms_px": float(np.sqrt(np.mean(fit.residuals[k][:, 3:] ** 2)))}
+            | {"seen_share": _seen_share(fit, k)}
             | {"corner_uncertainty_px": float(np.nanmax(self._uncertainty(k)))}
             for k, camera in enumerate(fit.cameras)
         ]
@@ -201,23 +198,19 @@ class CalibratedCameras(Result):
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """One a picture: points found, and what is left of them."""
-        left: dict[str, Any] = {}
-        for index, rows in enumerate(self.calibration.residuals):
-            for k, names in enumerate(self.used):
-                if (rows[:, 0] == k).any():
-                    left[names[index]] = rows[rows[:, 0] == k, 3:]
-        return [
-            {
-                "file": name,
-                "points": count or 0,
-                "used": len(left[name]) if name in left else 0,
-                "rms_px": float(np.sqrt(np.mean(left[name] ** 2))) if name in left else None,
-                "largest_px": float(np.abs(left[name]).max()) if name in left else None,
-            }
-            for name, count in self.points.items()
-        ]
+        left = {
+            names[index]: rows[rows[:, 0] == k, 3:]
+            for index, rows in enumerate(self.calibration.residuals) for k, names in enumerate(self.used)
+        }  # fmt: skip
+        table = []
+        for name, count in self.points.items():
+            off = np.abs(left.get(name, np.empty((0, 2))))
+            rms, largest = (float(np.sqrt(np.mean(off**2))), float(off.max())) if len(off) else (None, None)
+            row = {"file": name, "points": count or 0, "used": len(off), "rms_px": rms, "largest_px": largest}
+            table.append(row)
+        return table
 
-    def figures(self) -> "Iterator[Figure]":
+    def figures(self) -> Figures:
         from lunarsci.images.figures import calibration_page
 
         yield calibration_page(self.calibration, self.request.name)
@@ -256,10 +249,6 @@ def _with_scale(fit: CameraCalibration, square_error: float) -> CameraCalibratio
     if len(fit.cameras) > 1:
         covariance[-3:, -3:] += square_error**2 * np.outer(fit.translation_m, fit.translation_m)
     return dataclasses.replace(fit, covariance=covariance)
-
-
-def _rms(rows: Any) -> float:
-    return float(np.sqrt(np.mean(rows[:, 3:] ** 2)))
 
 
 def _seen_share(fit: CameraCalibration, index: int) -> float:

@@ -1,8 +1,8 @@
 """How deep a track is, and the sinkage that follows."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -13,12 +13,8 @@ from lunarsci.images.tracks import TrackDepths, change_along, read_line, track_d
 from lunarsci.io.inputs import read_input
 from lunarsci.options import request_of
 from lunarsci.provenance import sha256
-from lunarsci.result import Doubt, Result, job
+from lunarsci.result import Doubt, Figures, Result, job
 from lunarsci.rovers import read_rover
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 SOURCES = [
     "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8: sinkage from the depth of tracks",
@@ -122,7 +118,7 @@ class TrackSinkage(Result):
         rows = [dict(zip(columns, map(float, row), strict=True)) for row in zip(*columns.values(), strict=True)]
         return [row | {"status": reason or "ok"} for row, reason in zip(rows, depths.reason, strict=True)]
 
-    def figures(self) -> "Iterator[Figure]":
+    def figures(self) -> Figures:
         from lunarsci.images.figures import track_page
 
         yield track_page(self.change.model if self.change else self.model, self.line, self.width_m, self.depths)
