@@ -73,7 +73,7 @@ class Adjusted:
     joint : covariance of all poses, rotation about x, y, z of the world [rad] and place [m], one after the other, and
         then of the `PARAMETERS` of each of the r rigs. (6 s + 24 r, 6 s + 24 r)
     rigs : of each station, moved within its covariance.
-    delta, rig_of : by how much each rig was moved (r, 24), and the number of that of each station (s,).
+    rig_of : number of the rig of each station. (s,)
     inflation : for each of the p pairs, by which errors of its templates were multiplied, 1 or more. (p,) [-]
     residual_px : by pair, measured less computed (u, v) of its n ties in the farther left picture. (n, 2) each [px]
     weights : by pair, of its ties, 0 to 1. (n,) each
@@ -82,7 +82,6 @@ class Adjusted:
     poses: tuple[Pose, ...]
     joint: FloatArray
     rigs: tuple[StereoRig, ...]
-    delta: FloatArray
     rig_of: tuple[int, ...]
     inflation: tuple[float, ...]
     residual_px: tuple[FloatArray, ...]
@@ -174,7 +173,6 @@ def adjust(
         poses=tuple(bundle.poses(root @ z)),
         joint=np.asarray(joint[:size, :size]),
         rigs=tuple(unique[k].moved(delta[k]) for k in numbers),
-        delta=delta,
         rig_of=numbers,
         inflation=inflation,
         residual_px=tuple(part.off_px for part in parts),

@@ -36,6 +36,8 @@ PARAMETERS = (*(f"left_{n}" for n in INTRINSICS), *(f"right_{n}" for n in INTRIN
 MAST_M = 1.5
 """Height of a camera whose rig does not say: about that of the mast cameras of MER, 1.54 m (Maki et al. 2003,
 10.1029/2003JE002077). [m]"""
+COARSE_PX = 1.0
+"""A fit, a direction or a disparity that is off by more than a pixel is called so; assumed."""
 UNSTATED = (0.01, 0.4)
 """Errors of a rig whose file states none: of lengths, focal and the baseline, as shares, and what its rotation shifts
 [px]; measured: by as much do halves of six public sets of chessboards differ."""
@@ -222,12 +224,10 @@ class Camera:
                 x, y = self._undistorted(goal_x, goal_y)
         return np.stack([x, y, np.ones_like(x)], axis=-1)
 
-    def sees(self, pixels: npt.ArrayLike, margin_px: float = 0.0) -> npt.NDArray[np.bool_]:
-        """Whether pixels (..., 2) lie in the picture, `margin_px` from its border at least. (...)"""
+    def sees(self, pixels: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+        """Whether pixels (..., 2) lie in the picture. (...)"""
         given = np.asarray(pixels, dtype=float)
-        u, v = given[..., 0] - margin_px, given[..., 1] - margin_px
-        right, low = self.width_px - 1 - 2 * margin_px, self.height_px - 1 - 2 * margin_px
-        return (u >= -0.5) & (v >= -0.5) & (u <= right + 0.5) & (v <= low + 0.5)
+        return np.asarray(((given >= -0.5) & (given <= np.array(self.size) - 0.5)).all(axis=-1))
 
     def _distorted(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """x' and y' of `Camera` from x and y, directions over their z. [-]"""
@@ -329,7 +329,8 @@ def vector_of(rotation: npt.ArrayLike) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sensor:
-    """What makes numbers of light, the same in both cameras.
+    """What makes numbers of light, the same in both cameras; by default as of Yutu-2's PanCam (`rigs.toml`), with
+    assumed noise of reading.
 
     Attributes
     ----------
@@ -440,6 +441,14 @@ class StereoRig:
     def sigmas(self) -> dict[str, float]:
         """Standard deviation of each of `PARAMETERS`, in the unit that its name ends in."""
         return dict(zip(PARAMETERS, map(math.sqrt, np.diag(self.covariance)), strict=True))
+
+    @property
+    def in_rows(self) -> FloatArray:
+        """From the left camera's frame to one with rows in line: x along the baseline, z between both axes. (3, 3)"""
+        along, ahead = -self.rotation.T @ self.translation_m / self.baseline_m, self.rotation[2] + [0.0, 0.0, 1.0]
+        ahead = ahead - (ahead @ along) * along
+        ahead /= np.linalg.norm(ahead)
+        return np.stack([along, np.cross(ahead, along), ahead])
 
     def summary(self) -> dict[str, Any]:
         """Name, baseline, and what is assumed, for a result."""

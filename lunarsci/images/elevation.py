@@ -123,10 +123,13 @@ class ElevationModel:
         values = getattr(self, key)
         return np.array(np.broadcast_to(np.nan if values is None else values, self.height_m.shape), dtype=float)
 
+    def stated(self) -> dict[str, FloatArray]:
+        """Heights, and those layers of errors that there are, by name. (ny, nx)"""
+        return {key: self.layer(key) for key in ("height_m", *ERROR_LAYERS) if getattr(self, key) is not None}
+
     def layers(self) -> dict[str, tuple[tuple[str, ...], FloatArray]]:
-        """Axes, heights and the errors that are known, as `Result.layers` has them."""
-        given = [key for key in ("height_m", *ERROR_LAYERS) if getattr(self, key) is not None]
-        return layers_on(self.x_m, self.y_m, {key: self.layer(key) for key in given})
+        """Axes and what is `stated`, as `Result.layers` has them."""
+        return layers_on(self.x_m, self.y_m, self.stated())
 
     def at(self, key: str, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> FloatArray:
         """A layer between its nodes, bilinear; NaN outside and where one of the four is unknown.
@@ -269,27 +272,14 @@ def read_elevation(path: str | Path) -> ElevationModel:
     soils = tuple(f"{name}{end}" for name in SOIL for end in ("", "_left_of_prior"))
     grid = read_grid(path, ERROR_LAYERS, soils)
     check_relief(path, grid.height_m, grid.spacing_m)
-    layers: dict[str, Any] = {key: np.asarray(values, dtype=float) for key, values in grid.layers.items()}
-    return ElevationModel(
-        name=grid.name,
-        x0_m=grid.x0_m,
-        y0_m=grid.y0_m,
-        spacing_m=grid.spacing_m,
-        height_m=grid.height_m,
-        synthetic=grid.synthetic,
-        **layers,
-    )
-
-
-def _layers(model: ElevationModel) -> dict[str, FloatArray]:
-    """Heights, and those layers of errors that the model has, by name. (ny, nx)"""
-    return {key: model.layer(key) for key in ("height_m", *ERROR_LAYERS) if getattr(model, key) is not None}
+    given = {key: getattr(grid, key) for key in ("name", "x0_m", "y0_m", "spacing_m", "height_m", "synthetic")}
+    return ElevationModel(**given, **{key: np.asarray(values, dtype=float) for key, values in grid.layers.items()})
 
 
 def elevation_bytes(model: ElevationModel) -> bytes:
     """The model as a NumPy archive that `read_elevation` and the twin read."""
     archive = io.BytesIO()
-    content: dict[str, Any] = {key: values.astype(np.float32) for key, values in _layers(model).items()}
+    content: dict[str, Any] = {key: values.astype(np.float32) for key, values in model.stated().items()}
     content |= {"x_m": model.x_m, "y_m": model.y_m, "height_m": model.height_m}
     content |= {"name": np.array(model.name), "synthetic": np.array(model.synthetic)}
     np.savez_compressed(archive, **content)
@@ -298,8 +288,7 @@ def elevation_bytes(model: ElevationModel) -> bytes:
 
 def elevation_geotiff(model: ElevationModel) -> bytes:
     """The model as GeoTIFF, heights first. Raises ParameterError without rasterio."""
-    place = model.x0_m, model.y0_m, model.spacing_m
-    return geotiff_bytes(_layers(model), place, synthetic=model.synthetic)
+    return geotiff_bytes(model.stated(), (model.x0_m, model.y0_m, model.spacing_m), synthetic=model.synthetic)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

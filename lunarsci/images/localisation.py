@@ -32,6 +32,7 @@ from lunarsci.images.adjustment import (
 from lunarsci.images.camera import Pose, StereoRig, rotation_of
 from lunarsci.images.matching import Rectified, StereoMatches
 from lunarsci.images.pictures import open_cv
+from lunarsci.images.reliability import likest
 from lunarsci.result import Progress
 
 HIDDEN = 0.02
@@ -42,8 +43,6 @@ pose is not known better than by dead reckoning; assumed. [px]"""
 LEAST_CORRELATION, LOOSE_CORRELATION = 0.6, 0.45
 """Templates that agree less are no ties; the same where many are searched for one motion, which chance does not share,
 or where there are few; assumed."""
-LIKE = 0.8
-"""Largest ratio of the best to the second best distance of features: Lowe (2004), section 7.1."""
 INLIER_PX = 4.0
 """Features that are off by more, on foreshortened ground, do not follow a motion, and the median template must be off
 by less than half of it; assumed. [px]"""
@@ -53,9 +52,8 @@ FEWEST = 8
 """Fewest ties that a pose is believed of: four times the equations that its six unknowns need; assumed."""
 ODD_SIGMAS = 5.0
 """Dead reckoning that is off by more is doubted: it, or the ties, are wrong; assumed."""
-LEAST_SHARED, MOST_CLOSED, NEAREST_M = 0.05, 4, 0.5
-"""Share of a station's ground that a much later one must see to be tied to it, to how many at most, and from how near;
-assumed. [-], [-], [m]"""
+LEAST_SHARED, MOST_CLOSED = 0.05, 4
+"""Share of a station's ground that a much later one must see to be tied to it, and to how many at most; assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -123,9 +121,7 @@ def transfer(near: Station, pose: Pose, far: Station, far_pose: Pose) -> Transfe
     with np.errstate(divide="ignore", invalid="ignore"):
         places = frame.focal_px * local[:, :2] / local[:, 2:] + frame.center_px
     height, width = frame.shape
-    inside = (
-        (local[:, 2] > NEAREST_M) & (places > -0.5).all(axis=1) & (places < (width - 0.5, height - 0.5)).all(axis=1)
-    )
+    inside = (local[:, 2] > 0) & (places > -0.5).all(axis=1) & (places < (width - 0.5, height - 0.5)).all(axis=1)
     pixels, places, depth = pixels[inside], places[inside], local[inside, 2]
     whole = np.rint(places).astype(np.int64)
     cell = whole[:, 1] * width + whole[:, 0]
@@ -165,14 +161,11 @@ def features(seen: Transferred, far: Station, reach_px: tuple[int, int]) -> tupl
     detected = [sift.detectAndCompute(_eight(view, m > 0), m) for view, m in zip(views, (mask, around), strict=True)]
     if any(len(keys) < 3 for keys, _ in detected):
         return np.empty((0, 2)), np.empty((0, 2))
-    places = [cv2.KeyPoint_convert(keys) for keys, _ in detected]
+    places = [np.asarray(cv2.KeyPoint_convert(keys), dtype=float) for keys, _ in detected]
     # Of features within reach alone, so that the light of other ground does not count as the second best.
     apart = np.abs(places[0][:, None] - places[1][None])
     within = (apart <= reach_px).all(axis=2).astype(np.uint8)
-    pairs = cv2.BFMatcher().knnMatch(detected[0][1], detected[1][1], k=2, mask=within)
-    good = [best[0] for best in pairs if best and (len(best) < 2 or best[0].distance < LIKE * best[1].distance)]
-    rows, columns = [m.queryIdx for m in good], [m.trainIdx for m in good]
-    return np.asarray(places[0][rows], dtype=float), np.asarray(places[1][columns], dtype=float)
+    return likest(places, [words for _, words in detected], within)
 
 
 def _eight(light: npt.NDArray[np.float32], used: BoolArray) -> npt.NDArray[np.uint8]:
@@ -423,8 +416,7 @@ def _shared(first: Station, pose: Pose, other: Pose, rig: StereoRig) -> float:
     points = first.matches.rectified.points(first.matches.disparity)[::16, ::16].reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=1)]
     local = other.to_camera(pose.to_world(points))
-    ahead = local[local[:, 2] > NEAREST_M]
-    return float(rig.left.sees(rig.left.project(ahead)).sum()) / max(len(points), 1)
+    return float(rig.left.sees(rig.left.project(local)).sum()) / max(len(points), 1)
 
 
 def _tied(

@@ -22,9 +22,9 @@ import numpy.typing as npt
 from lunarsci.arrays import FloatArray, robust_fit, robust_scatter
 from lunarsci.compiled import compiled, each_in_threads
 from lunarsci.errors import DataError
-from lunarsci.images.camera import StereoRig
+from lunarsci.images.camera import COARSE_PX, StereoRig
 from lunarsci.images.pictures import Picture, open_cv, png_bytes
-from lunarsci.images.reliability import check_sides, ties_of
+from lunarsci.images.reliability import ROW_PX, check_sides, ties_of
 from lunarsci.ranges import refuse
 from lunarsci.result import Progress
 
@@ -59,15 +59,11 @@ BLOCK_PX = 5
 11 px, and penalties of 8 and 32 times its area."""
 DARK = 0.05
 """Light below this share of the bright tenth of a picture is shadow; assumed."""
-LARGEST_SIGMA_PX = 1.0
-"""Error of a disparity above which nothing is said; assumed."""
 FEWEST = 0.1
 """Share of pixels that must match before anything is said of a pair; assumed."""
 ALIKE = 0.999
 """Correlation of two pictures, pixel on pixel, from which they are one: assumed. Two views of ground are below 0.9."""
 TOO_FEW = f"less than {FEWEST:.0%} of the pixels match; are they of one place, one moment and this rig?"
-LARGEST_ROW_PX = 3.0
-"""Rows that are farther apart are of another rig; assumed."""
 UNEVEN_PX = 0.45
 """Robust scatter of the rows' distances about their plane from which the pictures are of two moments; measured: a
 rendered pair has 0.05 px, 0.11 px where the rover moved by 1 cm between its pictures, 0.52 px by 3 cm."""
@@ -316,7 +312,6 @@ class StereoMatches:
     disparity, sigma_px : u in the left picture less u in the right one, and its random error; NaN for none. (h, w) [px]
     window_px : width over which it is a mean, and over which its error is one. (h, w) [px]
     reason : place in `REASONS` of why there is none. (h, w)
-    first : what semi-global matching found. (h, w) [px]
     row_offset_px : how far the rows of the two pictures were apart at the middle, before they were moved. [px]
     """
 
@@ -327,7 +322,6 @@ class StereoMatches:
     sigma_px: FloatArray
     window_px: FloatArray
     reason: npt.NDArray[np.uint8]
-    first: FloatArray
     row_offset_px: float
 
     def archive(self) -> bytes:
@@ -358,15 +352,11 @@ def rectify(rig: StereoRig) -> Rectified:
 
     Raises DataError for a rig whose right camera is not to the right.
     """
-    along = -rig.rotation.T @ rig.translation_m / rig.baseline_m
-    if along[0] < 0.5:
+    turn = rig.in_rows
+    if turn[0, 0] < 0.5:
         raise DataError(
             f"{rig.name}: its right camera is not to the right of the left one; ask `lunarsci images cameras`"
         )
-    ahead = np.array([0.0, 0.0, 1.0]) + rig.rotation.T @ np.array([0.0, 0.0, 1.0])
-    ahead -= (ahead @ along) * along
-    ahead /= np.linalg.norm(ahead)
-    turn = np.stack([along, np.cross(ahead, along), ahead])
     width, height = rig.left.size
     focal = 0.5 * (rig.left.fx_px + rig.left.fy_px)
     middles = [c.rays([0.5 * (width - 1), 0.5 * (height - 1)]) for c in (rig.left, rig.right)]
@@ -431,7 +421,6 @@ def match(
         sigma_px=np.where(known, sigma, np.nan),
         window_px=np.where(known, window, np.nan),
         reason=reason,
-        first=first,
         row_offset_px=offset,
     )
 
@@ -625,7 +614,7 @@ def _rows_in_line(
     grid = np.mgrid[:height, :width].astype(np.float32)
     for _ in range(2):
         refined = refine(pictures[0], right, first, _Planes.of(first, 11)[1:3], step_px=12, rows=True)
-        good = (refined.variance < LARGEST_SIGMA_PX**2) & (np.abs(refined.row_offset) < LARGEST_ROW_PX)
+        good = (refined.variance < COARSE_PX**2) & (np.abs(refined.row_offset) < ROW_PX)
         if good.sum() < 50:
             return total, right
         v, u = np.nonzero(good)
@@ -634,7 +623,7 @@ def _rows_in_line(
         total += float(plane[0])
         scatter = robust_scatter(refined.row_offset[good] - terms @ plane)
         reasons = {
-            f"rows of the pictures are {abs(total):.1f} px apart; is the rig another one?": abs(total) > LARGEST_ROW_PX,
+            f"rows of the pictures are {abs(total):.1f} px apart; is the rig another one?": abs(total) > ROW_PX,
             f"rows are apart unevenly, by {scatter:.1f} px; did the rover move between them, is one turned, or the rig "
             "another one?": scatter > UNEVEN_PX,
         }
@@ -668,7 +657,7 @@ def _reasons(
     for code, mask in (
         (NO_MATCH, ~np.isfinite(disparity)),
         (OCCLUDED, _occluded(disparity)),
-        (NO_TEXTURE, sigma > LARGEST_SIGMA_PX),
+        (NO_TEXTURE, sigma > COARSE_PX),
         (SHADOW, light - black < DARK * bright),
         (SATURATED, cv2.boxFilter(full[0].astype(np.float32), -1, window) > 1e-6),
         (EDGE, ~inside | (np.arange(frame.shape[1]) - np.nan_to_num(disparity) < HALF_PX + 2)),

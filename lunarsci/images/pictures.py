@@ -35,8 +35,6 @@ RAW_TYPES = {
 MOST_PIXELS = 50_000_000
 """Of a picture, with all colours of a raw one: it takes 0.4 GB as numbers, and reading it five times as much."""
 NO_PICTURE = "no picture that can be read; give PNG, TIFF, JPEG, or a product with a label of PDS3, VICAR or PDS4"
-FLAT = 4.0
-"""A picture whose values spread less over their bits than this share of a thousand shows nothing; assumed."""
 TOO_LARGE = f"a picture of more than {MOST_PIXELS / 1e6:.0f} million pixels; cut out the part that is wanted"
 
 
@@ -66,12 +64,12 @@ class Picture:
         return np.asarray(self.values >= 2**self.bits - 1.5)
 
     def check(self) -> None:
-        """Raise DataError for a picture that is dark, even or overexposed all over."""
+        """Raise DataError for a picture that is overexposed, or of one number in 8 bits, as OpenCV looks at it."""
         low, high = np.percentile(self.values, [1, 99])
         full = self.saturated.mean()
         reasons = {
             f"{full:.0%} of it is overexposed; take a shorter one": full > 0.5,
-            f"shows nothing: values {low:g} to {high:g} of {2**self.bits - 1}": high - low < FLAT * 1e-3 * 2**self.bits,
+            f"shows nothing: values {low:g} to {high:g} of {2**self.bits - 1}": high - low < 2**self.bits / 256,
         }
         refuse(reasons, self.source.name, DataError)
 

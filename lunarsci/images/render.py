@@ -24,6 +24,7 @@ from lunarsci.images.camera import Camera, Pose, StereoRig
 from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.ranges import refuse
 from lunarsci.result import Progress
+from lunarsci.sun import upward
 
 ROCK_COLUMNS = ("x_m", "y_m", "z_m", "a_m", "b_m", "c_m", "turn_deg")
 """Columns of a landscape's rocks: middle, half axes along and across, half height, direction of the first axis."""
@@ -98,9 +99,7 @@ class Landscape:
     @property
     def sun(self) -> FloatArray:
         """Direction to the Sun. (3,)"""
-        azimuth, elevation = math.radians(self.sun_azimuth_deg), math.radians(self.sun_elevation_deg)
-        level = math.cos(elevation)
-        return np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)])
+        return upward(self.sun_azimuth_deg, self.sun_elevation_deg)
 
     def ground(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> FloatArray:
         """Height of the triangles without rocks at places of any one shape; NaN beyond the grid. [m]"""

@@ -26,6 +26,7 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.images import LengthUnit
 from lunarsci.images.cahv import CahvModel, count_of, is_product, label_of, orthonormal
 from lunarsci.images.camera import (
+    COARSE_PX,
     INTRINSICS,
     PARAMETERS,
     RELATIVE,
@@ -39,7 +40,7 @@ from lunarsci.images.camera import (
     unstated_covariance,
     vector_of,
 )
-from lunarsci.images.labels import COARSE_PX, fit_cahv, read_label, rig_of_labels
+from lunarsci.images.labels import fit_cahv, read_label, rig_of_labels
 from lunarsci.images.pictures import Picture, open_cv
 from lunarsci.io.documents import json_document, toml_document, xml_root, yaml_document
 from lunarsci.io.inputs import InputFile, beginning, read_input, text

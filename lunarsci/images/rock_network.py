@@ -28,7 +28,7 @@ by this ratio: it was taught with these."""
 DILATIONS, SEEN_PX, STEP_PX = (1, 1, 2, 3, 1, 1), 14, 2
 """Of the layers' windows, what they see about a place, and between places that are scored [px]: as it was taught."""
 KNEE = 3.0
-"""Score at which `RockNetwork.odds` bends; assumed."""
+"""Score at which `RockNetwork.odds` bends: these are fitted with it (`tests/benchmarks/rock_scenes.py`)."""
 STRIP = 64
 """Rows of scores that are reckoned together."""
 

@@ -22,6 +22,7 @@ from lunarsci.images.pictures import open_cv
 from lunarsci.images.rock_network import WIDTH_PX, RockCandidates, blurred, embedded_network, rock_candidates
 from lunarsci.images.stones import FLATNESS, Image, StonePair, put_stone, spots
 from lunarsci.result import Progress
+from lunarsci.sun import upward
 
 RANGES_M = (0.0, 2.5, 3.5, 5.0, 7.0)
 """Ends of the ranges that completeness is told by. [m]"""
@@ -186,13 +187,7 @@ def _scene(
     lens = frame.focal_px, frame.center_px, frame.baseline_m
     scene = StonePair(left, right, ground, above, searched, *lens, turn[:, 2], turn[:, 2])
     sun_deg = sun_deg or _likeliest_sun(scene, turn)
-    return scene._replace(sun=turn @ _direction(*sun_deg)), sun_deg
-
-
-def _direction(azimuth_deg: float, elevation_deg: float) -> FloatArray:
-    """Unit vector of an azimuth, from x towards y, and an elevation. (3,)"""
-    turn, rise = math.radians(azimuth_deg), math.radians(elevation_deg)
-    return np.array([math.cos(rise) * math.cos(turn), math.cos(rise) * math.sin(turn), math.sin(rise)])
+    return scene._replace(sun=turn @ upward(*sun_deg)), sun_deg
 
 
 def _likeliest_sun(scene: StonePair, turn: FloatArray) -> tuple[float, float]:
@@ -222,7 +217,7 @@ def _likeliest_sun(scene: StonePair, turn: FloatArray) -> tuple[float, float]:
     seen, best, detected = about(light / np.percentile(light, 90)), -2.0, (0.0, 30.0)
     for azimuth in range(0, 360, 15):
         for rise in (15, 30, 45, 60):
-            mu0 = np.maximum(normal @ (turn @ _direction(azimuth, rise)), 0.0)
+            mu0 = np.maximum(normal @ (turn @ upward(azimuth, rise)), 0.0)
             mu = np.maximum((normal * view).sum(-1), 0.02)
             alike = float(np.corrcoef(about(mu0 / (mu0 + mu)), seen)[0, 1])
             if alike > best:

@@ -12,11 +12,12 @@ import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from lunarsci.arrays import BoolArray, FloatArray, IndexArray, robust_fit, robust_scatter
+from lunarsci.arrays import SIGNIFICANCE, BoolArray, FloatArray, IndexArray, robust_fit, robust_scatter
 from lunarsci.errors import ParameterError
 from lunarsci.images.elevation import Change, ElevationModel, change_of
 from lunarsci.io.inputs import read_input, read_json
@@ -27,14 +28,12 @@ COVERED = 0.5, 0.3
 """Share of the nodes of the floor, and of the ground at each side, that must be known; assumed."""
 RESOLUTION_OFF = 0.3
 """Relative error of the resolution; assumed."""
-CLEAR = 3.0
-"""Standard errors by which a track must stand out where its middle is looked for; assumed."""
-FEWEST_SHAMS = 8
-"""Depths measured where no track is, below which nothing is concluded from them; assumed."""
-CELL_SHARE = 0.3
-"""Side of the cells whose mean heights stand for the ground, as a share of the wheel's width; assumed."""
+CELL_SHARE = 0.5 * FLOOR_SHARE
+"""Side of cells whose mean heights stand for the ground, over the wheel's width: half a floor, as `FLOOR_SHARE`."""
 PRIOR_SHAMS = 4.0
 """Weight of the stated error beside shams (depths measured where no track is), as so many of them; assumed."""
+FEWEST_SHAMS = 2 * PRIOR_SHAMS
+"""Shams below which nothing is concluded: so many count twice as much as the stated error, as `PRIOR_SHAMS`."""
 
 
 class Unrolled(NamedTuple):
@@ -310,7 +309,6 @@ class TrackDepths:
     mean_m, mean_random_m : mean of the depths that are determined, and its random error. [m]
     ground_scatter_m : robust scatter about 0 of the same measurement on ground without a track; None where there is
         too little such ground. [m]
-    shams : how many of these measurements there are.
     """
 
     distance_m: FloatArray
@@ -324,7 +322,6 @@ class TrackDepths:
     mean_m: float
     mean_random_m: float
     ground_scatter_m: float | None
-    shams: int
 
     @property
     def rut_m_systematic(self) -> FloatArray:
@@ -459,7 +456,9 @@ def _stretch_middle(part: Unrolled, profile: TrackProfile, steps: FloatArray) ->
     costs, depths = zip(*(_misfit(across - step, rest, profile.width_m) for step in steps), strict=True)
     best = int(np.argmin(costs))
     scatter = robust_scatter(rest[outside])
-    if not depths[best] > CLEAR * scatter / math.sqrt(10.0) or best in (0, len(steps) - 1):
+    # So clear that it is by chance in `SIGNIFICANCE` of places where so many steps are tried.
+    clear = NormalDist().inv_cdf(1.0 - SIGNIFICANCE / len(steps))
+    if not depths[best] > clear * scatter / math.sqrt(10.0) or best in (0, len(steps) - 1):
         return math.nan
     before, here, after = costs[best - 1 : best + 2]
     bend = before - 2 * here + after
@@ -580,7 +579,6 @@ def _measured(
         mean_m=float(np.nanmean(depth)) if determined.any() else np.nan,
         mean_random_m=_mean_error(survey, random[determined], shams),
         ground_scatter_m=scatter,
-        shams=int(np.isfinite(shams).sum()),
     )
 
 

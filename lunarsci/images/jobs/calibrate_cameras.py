@@ -22,9 +22,8 @@ from lunarsci.images.calibration import (
     of_moments,
     pictures_matching,
 )
-from lunarsci.images.camera import INTRINSICS, StereoRig, is_swapped, vector_of
+from lunarsci.images.camera import COARSE_PX, INTRINSICS, UNSTATED, StereoRig, is_swapped, vector_of
 from lunarsci.images.jobs.requests import CalibrateCamerasRequest
-from lunarsci.images.labels import COARSE_PX
 from lunarsci.images.pictures import Picture, read_picture
 from lunarsci.images.rig_files import camera_text, rig_text
 from lunarsci.io.inputs import InputFile
@@ -40,9 +39,9 @@ SOURCES = [
     "Bell & McCaffrey (2002), Surv. Methodol. 28, 169: errors from clusters",
 ]
 SIDES = ("left", "right")
-UNDETERMINED = 0.01
-"""Errors as shares of the focal length, the picture's width and the baseline, from which these are not determined:
-assumed."""
+UNDETERMINED = UNSTATED[0]
+"""Errors as shares of the focal length, the picture's width and the baseline, from which these are not determined: a
+file without errors says as much, as `UNSTATED`."""
 SEEN_SHARE = 0.6
 """Share of the picture that boards must have covered, else it is said; assumed."""
 SWAPPED = (

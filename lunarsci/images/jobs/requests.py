@@ -140,6 +140,10 @@ class LocateRequest:
         return place
 
 
+RECKONED = LocateRequest()
+"""Errors of dead reckoning that `images merge` assumes, too."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MergeRequest:
     """How models, or pairs, are laid together.
@@ -161,9 +165,9 @@ class MergeRequest:
     spacing: float | None = None
     rig: str | None = None
     farthest: float | None = None
-    drift: float = 0.03
-    heading_error: float = 1.0
-    tilt_error: float = 0.3
+    drift: float = RECKONED.drift
+    heading_error: float = RECKONED.heading_error
+    tilt_error: float = RECKONED.tilt_error
     mast_error: float = 0.2
 
     def __post_init__(self) -> None:
