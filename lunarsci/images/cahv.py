@@ -158,7 +158,7 @@ class CahvModel:
 
     def toml(self) -> str:
         """Its numbers as a table within a line, to the last digit."""
-        parts = [f"{letter} = [{', '.join(repr(float(x)) for x in part)}]" for letter, part in self.vectors.items()]
+        parts = [f"{letter} = {part.tolist()}" for letter, part in self.vectors.items()]
         return f"{{ {', '.join([*parts, f'linearity = {self.linearity!r}'])} }}"
 
     @property

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
-from lunarsci.images.pictures import open_cv
+from lunarsci.images.pictures import cv2
 from lunarsci.names import one_of
 from lunarsci.ranges import refuse
 
@@ -195,7 +195,7 @@ class Camera:
         rotated = np.asarray(turn, dtype=float), np.asarray(way_m, dtype=float)
         if self.lens is not None:
             return self._through_lens(points, *rotated)
-        pixels, slopes = open_cv().projectPoints(points, *rotated, self.matrix, self.distortion)
+        pixels, slopes = cv2.projectPoints(points, *rotated, self.matrix, self.distortion)
         slopes = np.asarray(slopes).reshape(-1, 2, 15)
         return Projection(np.asarray(pixels)[:, 0], slopes[..., :6], slopes[..., [6, 7, 8, 9, 10, 11, 14, 12, 13]])
 

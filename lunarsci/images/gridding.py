@@ -84,15 +84,11 @@ def cloud_of(
 def cloud_ply(cloud: Cloud, light: FloatArray) -> bytes:
     """Points with their grey, 0 to 255 up to the brightest of `light` (n,), and random errors [px], as binary PLY (Turk
     1994). No library in use writes a table with a head like that."""
-    grey = np.clip(255 * light / max(float(light.max()), 1e-9), 0, 255)
-    places = [(name, "<f8") for name in "xyz"]
-    colours = [(name, "u1") for name in ("red", "green", "blue")]
-    table = np.empty(len(cloud.points), dtype=[*places, *colours, ("disparity_px", "<f4"), ("sigma_px", "<f4")])
-    columns = *cloud.points.T, grey, grey, grey, cloud.disparity, cloud.sigma_px
-    for name, values in zip(table.dtype.names or (), columns, strict=True):
-        table[name] = values
+    grey = np.clip(255 * light / max(float(light.max()), 1e-9), 0, 255).astype("u1")
+    columns = *cloud.points.T, grey, grey, grey, cloud.disparity.astype("<f4"), cloud.sigma_px.astype("<f4")
+    table = np.rec.fromarrays(columns, names="x,y,z,red,green,blue,disparity_px,sigma_px")
     kinds = {"f8": "double", "u1": "uchar", "f4": "float"}
-    fields = [f"property {kinds[table.dtype[name].str[1:]]} {name}" for name in table.dtype.names or ()]
+    fields = [f"property {kinds[kind[1:]]} {name}" for name, kind in table.dtype.descr]
     head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(table)}", *fields, "end_header", ""]
     return "\n".join(head).encode() + table.tobytes()
 

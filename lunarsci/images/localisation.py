@@ -31,7 +31,7 @@ from lunarsci.images.adjustment import (
 )
 from lunarsci.images.camera import Pose, StereoRig, rotation_of
 from lunarsci.images.matching import Rectified, StereoMatches
-from lunarsci.images.pictures import open_cv
+from lunarsci.images.pictures import cv2
 from lunarsci.images.reliability import likest
 from lunarsci.result import Progress
 
@@ -153,7 +153,6 @@ def transfer(near: Station, pose: Pose, far: Station, far_pose: Pose) -> Transfe
 def features(seen: Transferred, far: Station, reach_px: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
     """Features that both views have, at most `reach_px` apart along u and v: (u, v) in the transferred and in the true
     one. (n, 2), (n, 2) [px]"""
-    cv2 = open_cv()
     views = seen.light, np.sqrt(np.maximum(far.matches.left, 0.0)).astype(np.float32)
     mask = cv2.erode(seen.seen.astype(np.uint8), np.ones((9, 9), np.uint8))
     around = cv2.dilate(mask, np.ones((2 * reach_px[0] + 1,) * 2, np.uint8))
@@ -170,7 +169,6 @@ def features(seen: Transferred, far: Station, reach_px: tuple[int, int]) -> tupl
 
 def _eight(light: npt.NDArray[np.float32], used: BoolArray) -> npt.NDArray[np.uint8]:
     """Light over its surroundings', with contrast alike all over, in 8 bits."""
-    cv2 = open_cv()
     weight = np.maximum(cv2.GaussianBlur(used.astype(np.float32), (0, 0), 12), 1e-3)
     mean = cv2.GaussianBlur(np.where(used, light, 0).astype(np.float32), (0, 0), 12) / weight
     rest = np.where(used, light - mean, 0).astype(np.float32)
@@ -189,7 +187,6 @@ class RigidMotion(NamedTuple):
 
 def rigid_motion(points: FloatArray, rays: FloatArray, focal_px: float) -> RigidMotion:
     """The motion that carries most points (n, 3) onto rays (n, 3), z = 1, of the other camera; none of few points."""
-    cv2 = open_cv()
     nothing = RigidMotion(np.eye(3), np.zeros(3), np.zeros(len(points), dtype=bool))
     if len(points) < FEWEST:
         return nothing
@@ -213,7 +210,6 @@ def templates(
 ) -> TiePoints:
     """Ties on a grid of the transferred view: where templates of it, `size_px` wide and high, agree best with the true
     one, at most `reach_px` away along u and v, with a correlation of `least` or more."""
-    cv2 = open_cv()
     width, height = (side // 2 for side in size_px)
     margin = width + reach_px[0] + 1, height + reach_px[1] + 1
     truth = np.sqrt(np.maximum(far.matches.left, 0.0)).astype(np.float32)

@@ -23,7 +23,7 @@ from lunarsci.arrays import FloatArray, robust_fit, robust_scatter
 from lunarsci.compiled import compiled, each_in_threads
 from lunarsci.errors import DataError
 from lunarsci.images.camera import COARSE_PX, StereoRig
-from lunarsci.images.pictures import Picture, open_cv, png_bytes
+from lunarsci.images.pictures import Picture, cv2, png_bytes
 from lunarsci.images.reliability import ROW_PX, check_sides, ties_of
 from lunarsci.ranges import refuse
 from lunarsci.result import Progress
@@ -36,8 +36,8 @@ STEPS = 5
 SMALL_STEP_PX = 0.01
 """Step of a disparity that ends them; ten times as large a last one is taken for an answer, too. [px]"""
 STARTS_PX, START_SIGMAS = 0.5, 3.0
-"""How far semi-global matching may be off what least squares find before it is another surface: a step of it, and so
-many errors of a window; assumed."""
+"""How far semi-global matching may be off what least squares find before it is another surface: half a pixel, from
+which these go to the nearest minimum of the finest texture, of two pixels; and so many errors of a window; assumed."""
 FARTHEST_PX = 0.9
 """A window whose disparity moves farther from where it began is on something else; assumed. [px]"""
 STEEPEST = 2 / 3
@@ -475,7 +475,6 @@ def _mixture(one: Refined, two: Refined, field: FloatArray, wide: FloatArray) ->
 
 def _warped(values: npt.NDArray[Any], places: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     """A picture at places (u, v) (h, w, 2) of it [px]; 0 beyond its border and where a place is NaN. (h, w)"""
-    cv2 = open_cv()
     maps = np.nan_to_num(places, nan=-9.0)
     return np.asarray(
         cv2.remap(values.astype(np.float32), maps[..., 0], maps[..., 1], cv2.INTER_LANCZOS4, borderValue=0)
@@ -487,7 +486,6 @@ def _semi_global(pictures: list[npt.NDArray[np.float32]], span: tuple[float, flo
 
     `pictures` are the rectified left and right one (h, w), `span` the largest and the least disparity [px].
     """
-    cv2 = open_cv()
     eight = [_even(p) for p in pictures]
     lowest = max(math.floor(span[1]) - 1, 0)
     count = 16 * math.ceil((span[0] + 2 - lowest) / 16)
@@ -521,7 +519,7 @@ def _even(picture: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
 
 def _mean_in_window(values: FloatArray, side: int) -> tuple[FloatArray, FloatArray]:
     """Mean of what is known in a square window about each pixel, and the share of it that is. (h, w), (h, w)"""
-    cv2, valid = open_cv(), np.isfinite(values)
+    valid = np.isfinite(values)
     share = cv2.blur(valid.astype(float), (side, side))
     return cv2.blur(np.where(valid, values, 0.0), (side, side)) / np.maximum(share, 1e-9), share
 
@@ -544,7 +542,6 @@ class _Planes(NamedTuple):
     @classmethod
     def of(cls, values: FloatArray, side: int, weight: FloatArray | float = 1.0) -> "_Planes":
         """Through values (h, w) with weights (h, w) in windows of `side` pixels."""
-        cv2 = open_cv()
         known = np.isfinite(values) & (weight > 0)
         w, d = np.where(known, weight, 0.0), np.where(known, values, 0.0)
         share = cv2.blur(known.astype(float), (side, side))
@@ -567,7 +564,6 @@ class _Planes(NamedTuple):
 
 def _scaled(values: npt.NDArray[Any], shape: tuple[int, int]) -> npt.NDArray[Any]:
     """Values on another number of pixels (h, w), means where these are fewer, linear between them where more."""
-    cv2 = open_cv()
     fewer = shape[0] < values.shape[0]
     return np.asarray(cv2.resize(values, shape[::-1], interpolation=cv2.INTER_AREA if fewer else cv2.INTER_LINEAR))
 
@@ -646,7 +642,6 @@ def _reasons(
     disparity, sigma : disparities and their errors. (h, w) [px]
     frame : the rectified frame.
     """
-    cv2 = open_cv()
     window = (2 * HALF_PX + 1,) * 2
     light = cv2.boxFilter(pictures[0], -1, window)
     black = float(np.percentile(pictures[0], 0.5))
@@ -683,7 +678,7 @@ def _islands(disparity: FloatArray) -> npt.NDArray[np.bool_]:
     """Pixels of small patches that are off the ground about them, or have none about them. (h, w)"""
     valid = np.isfinite(disparity)
     steps = np.where(valid, np.rint(16 * np.nan_to_num(disparity)), -1).astype(np.int16)
-    ground = open_cv().filterSpeckles(steps, -1, ISLAND_PX, 16 * ISLAND_STEP_PX)[0] >= 0
+    ground = cv2.filterSpeckles(steps, -1, ISLAND_PX, 16 * ISLAND_STEP_PX)[0] >= 0
     mean, share = _mean_in_window(np.where(ground, disparity, np.nan), ABOUT_PX)
     off = np.abs(np.nan_to_num(disparity) - mean) > ISLAND_OFF * mean
     return np.asarray(valid & ~ground & ((share < 1e-6) | off))

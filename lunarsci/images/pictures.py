@@ -38,6 +38,20 @@ NO_PICTURE = "no picture that can be read; give PNG, TIFF, JPEG, or a product wi
 TOO_LARGE = f"a picture of more than {MOST_PIXELS / 1e6:.0f} million pixels; cut out the part that is wanted"
 
 
+class _OpenCV:
+    """The module cv2, imported when it is needed. Raises ParameterError, which names the extra, where it is missing."""
+
+    def __getattr__(self, name: str) -> Any:
+        try:
+            import cv2 as module
+        except ImportError as error:
+            raise ParameterError("pictures need OpenCV; pip install 'lunarsci[images]'") from error
+        return getattr(module, name)
+
+
+cv2 = _OpenCV()
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Picture:
     """A grey picture.
@@ -86,7 +100,6 @@ def read_picture(source: str | Path | InputFile) -> Picture:
         return _read_pds4(label)
     if label is not None:
         return _read_labelled(file, label)
-    cv2 = open_cv()
     _check_size(file)
     with unheard():
         values = cv2.imdecode(np.frombuffer(file.data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
@@ -191,15 +204,6 @@ def _without_mosaic(values: FloatArray) -> FloatArray:
     """Grey of an RGGB mosaic: each pixel with its neighbours, weighted so that every place has each colour alike."""
     kernel = np.outer([0.25, 0.5, 0.25], [0.25, 0.5, 0.25])
     return np.asarray(convolve(values, kernel, mode="mirror"))
-
-
-def open_cv() -> Any:
-    """The module cv2. Raises ParameterError, which names the extra, where it is not installed."""
-    try:
-        import cv2
-    except ImportError as error:
-        raise ParameterError("pictures need OpenCV; pip install 'lunarsci[images]'") from error
-    return cv2
 
 
 def png_bytes(values: npt.NDArray[np.uint16], words: dict[str, str]) -> bytes:

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from lunarsci.arrays import NORMAL_MAD, SIGNIFICANCE, FloatArray, robust_fit, robust_scatter
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.images.camera import MAST_M, PARAMETERS, Pose, StereoRig, unstated_covariance
-from lunarsci.images.pictures import Picture, open_cv
+from lunarsci.images.pictures import Picture, cv2
 
 HIGHLANDS, MARIA = NORMAL_MAD * math.radians(7.5), NORMAL_MAD * math.radians(2.0)
 """Standard deviations of the ground's slope along a line, from medians over 17 m (Rosenburg et al. 2011,
@@ -101,7 +101,7 @@ class Reliability:
 
 def ties_of(left: Picture, right: Picture) -> CommonFeatures:
     """Features of the left picture with the likest ones of the right picture."""
-    cv2, words, places = open_cv(), [], []
+    words, places = [], []
     sift = cv2.SIFT_create(nfeatures=2000, contrastThreshold=0.01)
     share = min(1.0, math.sqrt(LOOKED_PX / left.values.size))
     for picture in (left, right):
@@ -125,7 +125,7 @@ def likest(
     `places` (n, 2) and (m, 2) [px], `words` (n, 128) and (m, 128), `within` (n, m), above 0 for pairs that may be; what
     is returned (k, 2) each.
     """
-    pairs = open_cv().BFMatcher().knnMatch(*words, k=2, mask=within)
+    pairs = cv2.BFMatcher().knnMatch(*words, k=2, mask=within)
     good = [best[0] for best in pairs if best and (len(best) < 2 or best[0].distance < LIKE * best[1].distance)]
     return places[0][[one.queryIdx for one in good]], places[1][[one.trainIdx for one in good]]
 

@@ -18,7 +18,7 @@ from lunarsci.arrays import BoolArray, FloatArray, robust_fit, robust_scatter
 from lunarsci.errors import DataError
 from lunarsci.images.camera import Pose
 from lunarsci.images.matching import DARK, StereoMatches
-from lunarsci.images.pictures import open_cv
+from lunarsci.images.pictures import cv2
 from lunarsci.images.rock_network import WIDTH_PX, RockCandidates, blurred, embedded_network, rock_candidates
 from lunarsci.images.stones import FLATNESS, Image, StonePair, put_stone, spots
 from lunarsci.result import Progress
@@ -196,7 +196,6 @@ def _likeliest_sun(scene: StonePair, turn: FloatArray) -> tuple[float, float]:
     Light is that of Lommel and Seeliger; compared are logarithms less their means about, by their correlation.
     `turn` turns a direction of the world into the frame.
     """
-    cv2 = open_cv()
     disparity, small = scene.ground + scene.above, 0.125
     d, light, part = (
         cv2.resize(blurred(a, 4.0), None, fx=small, fy=small, interpolation=cv2.INTER_LINEAR)
@@ -251,7 +250,7 @@ def _parallax(ground: Image, left: Image, right: Image) -> Image:
     Each is that of the least sum of squares under a Gaussian, a mean by how sharp its minima are: in the dark and on
     what is plain the surroundings decide.
     """
-    cv2, top = open_cv(), 0.06 * np.percentile(left, 90)
+    top = 0.06 * np.percentile(left, 90)
     left, right = (p / (blurred(p, 12.0) + top) for p in (left, right))
     quarter = [cv2.resize(p, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA) for p in (left, right, ground)]
     coarse, sharp = _least_squares(quarter[0], quarter[1], quarter[2] / 4, np.arange(-2.0, 6.1, 0.5), 1.5)
@@ -263,7 +262,6 @@ def _parallax(ground: Image, left: Image, right: Image) -> Image:
 
 def _least_squares(left: Image, right: Image, base: Image, steps: FloatArray, sigma: float) -> tuple[Image, Image]:
     """Disparity over a base (h, w) at the least sum of squares, and the curvature there, of even steps [px]."""
-    cv2 = open_cv()
     v, u = np.mgrid[: left.shape[0], : left.shape[1]].astype(np.float32)
     sums = np.empty((len(steps), *left.shape), dtype=np.float32)
     for layer, step in zip(sums, steps, strict=True):

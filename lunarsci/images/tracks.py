@@ -118,7 +118,18 @@ def unrolled(model: ElevationModel, line: FloatArray, reach_m: float) -> Unrolle
     x, y = np.meshgrid(model.x_m, model.y_m)
     low, high = line.min(axis=0) - reach_m, line.max(axis=0) + reach_m
     near = np.isfinite(model.height_m) & (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
-    points = np.column_stack([x[near], y[near]])
+    _, along, across = _beside(np.column_stack([x[near], y[near]]), line)
+    inside = np.flatnonzero(np.abs(across) <= reach_m)
+    nodes = Unrolled(along, across, model.height_m[near], model.layer("height_m_sigma")[near])
+    return nodes.only(inside[np.argsort(along[inside], kind="stable")])
+
+
+def _beside(points: FloatArray, line: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Distance of points (n, 2) from a line of corners (k, 2), their way along it, and how far they are to its left, by
+    the nearest segment. (n,) each [m]
+
+    Beyond the ends of the line points keep their way along it, so that windows there are whole.
+    """
     best, along, across = (np.full(len(points), value) for value in (np.inf, np.nan, np.nan))
     way = 0.0
     for start, end in itertools.pairwise(line):
@@ -126,15 +137,11 @@ def unrolled(model: ElevationModel, line: FloatArray, reach_m: float) -> Unrolle
         direction = (end - start) / length
         offset = points - start
         forward, left = offset @ direction, offset @ np.array([-direction[1], direction[0]])
-        beyond = np.maximum(np.maximum(-forward, forward - length), 0.0)
-        distance = np.hypot(beyond, left)
-        # Beyond the ends of the line nodes keep their place along it, so that windows there are whole.
+        distance = np.hypot(np.maximum(np.maximum(-forward, forward - length), 0.0), left)
         nearer = distance < best
         best[nearer], along[nearer], across[nearer] = distance[nearer], way + forward[nearer], left[nearer]
         way += length
-    inside = np.flatnonzero(np.abs(across) <= reach_m)
-    nodes = Unrolled(along, across, model.height_m[near], model.layer("height_m_sigma")[near])
-    return nodes.only(inside[np.argsort(along[inside], kind="stable")])
+    return best, along, across
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,13 +273,14 @@ class TrackProfile:
     width_m: float
     gap_m: float
     strip_m: float
-    floor_share: float = FLOOR_SHARE
+    floor_share: float
     order: int = 1
 
     @classmethod
     def of_wheel(cls, width_m: float, resolution_m: float) -> "TrackProfile":
         """Gap of half the wheel's width and half the matching window, and strips as wide as the wheel; assumed."""
-        return cls(width_m=width_m, gap_m=0.5 * (width_m + resolution_m), strip_m=width_m)
+        gap = 0.5 * (width_m + resolution_m)
+        return cls(width_m=width_m, gap_m=gap, strip_m=width_m, floor_share=FLOOR_SHARE)
 
     @property
     def floor_m(self) -> float:
@@ -487,13 +495,7 @@ def change_along(
     """What changed since an earlier model, which is laid on this one where no wheel of `width_m` on the line went."""
     profile = TrackProfile.of_wheel(width_m, float(np.nanmedian(model.layer("resolution_m"))))
     x, y = np.meshgrid(model.x_m, model.y_m)
-    away = np.full(x.shape, np.inf)
-    for start, end in itertools.pairwise(line):
-        way = (end - start) / np.linalg.norm(end - start)
-        ahead, left = x - start[0], y - start[1]
-        along = ahead * way[0] + left * way[1]
-        beyond = np.maximum(np.maximum(-along, along - np.linalg.norm(end - start)), 0.0)
-        away = np.minimum(away, np.hypot(left * way[0] - ahead * way[1], beyond))
+    away = _beside(np.column_stack([x.ravel(), y.ravel()]), line)[0].reshape(x.shape)
     inner, outer = profile.ground_m
     return change_of(model, before, (away >= inner + search_m) & (away <= 4.0 * outer))
 

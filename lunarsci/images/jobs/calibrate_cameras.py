@@ -42,8 +42,6 @@ SIDES = ("left", "right")
 UNDETERMINED = UNSTATED[0]
 """Errors as shares of the focal length, the picture's width and the baseline, from which these are not determined: a
 file without errors says as much, as `UNSTATED`."""
-SEEN_SHARE = 0.6
-"""Share of the picture that boards must have covered, else it is said; assumed."""
 SWAPPED = (
     "left and right are swapped, or both cameras are upside down: the camera of `right` stands left of the other one; "
     "give its pictures first, and the others as `right`"
@@ -172,10 +170,8 @@ class CalibratedCameras(Result):
         fit = self.calibration
         notes = [f"errors are those of the residuals, {max(fit.between_pictures, 1):.2g} times, as pictures differ"]
         for k, camera in enumerate(fit.cameras):
-            if (share := _seen_share(fit, k)) < SEEN_SHARE:
-                notes.append(
-                    f"the board was seen in {share:.0%} of the {camera.name}'s picture; beyond is extrapolated"
-                )
+            share = _seen_share(fit, k)
+            notes.append(f"the board was seen in {share:.0%} of the {camera.name}'s picture; beyond is extrapolated")
             hint = "see the board there, or find fewer terms (--distortion)"
             edge = self._uncertainty(k)
             if np.isnan(edge).any():

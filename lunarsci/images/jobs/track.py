@@ -104,11 +104,7 @@ class TrackSinkage(Result):
         depths, remaining_share = self.depths, 1.0 - self.rebound
         blank = np.where(depths.determined, 1.0, np.nan)
         sigma = np.hypot(depths.rut_m_random, depths.rut_m_systematic) * blank
-        columns = {
-            "distance_m": depths.distance_m,
-            "x_m": depths.x_m,
-            "y_m": depths.y_m,
-            "rut_m": depths.rut_m,
+        columns = {key: getattr(depths, key) for key in ("distance_m", "x_m", "y_m", "rut_m")} | {
             "rut_m_sigma": sigma,
             "rut_m_random": depths.rut_m_random * blank,
             "rut_m_systematic": depths.rut_m_systematic * blank,
