@@ -2,7 +2,7 @@
 
 import math
 from statistics import NormalDist
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -24,21 +24,26 @@ OUTLYING = NormalDist().inv_cdf(1 - SIGNIFICANCE / 2)
 """Heights that lie farther from their cell's median, in standard deviations beside its slope, are left out:
 as `SIGNIFICANCE` of sound ones are."""
 STEEPEST = 1.5
-"""Slope that a cell may have; assumed. [-]"""
+"""Slope that a cell may have. Measured (`tests/benchmarks/image_numbers.py`, 30 November 2026, two rendered pairs):
+from 1 to 2.25 heights stay as good, and their errors within 0.1 %. [-]"""
 GRAZING_DEG = 3.0
-"""What is seen flatter than that is no surface: something may hide between its pixels; assumed. [deg]"""
+"""What is seen flatter than that is no surface: something may hide between its pixels. Measured as `STEEPEST`: of 1.5,
+3 and 6 deg 102, 100 and 85 % of the nodes have a height, with rms errors of 9.9, 9.0 and 6.8 mm. [deg]"""
 PARTS = 3
 """A cell's height is the mean over so many places along x and y on the triangles between pixels."""
 COVERED = 0.5
-"""Share of these places that must lie on triangles; assumed."""
+"""Share of these places that must lie on triangles. Measured as `STEEPEST`: of 0.25, 0.5 and 0.75 104, 100 and 96 % of
+the nodes have a height, with rms errors of 9.4, 9.0 and 8.7 mm."""
 ALIKE = 4 / 7
 """Distance of pixels whose errors are independent, as a share of their windows: as `matching.CORRELATED`."""
 HIDDEN = 0.8
 """Error of what no pixel shows of a cell, over that relief: as `matching.CORRELATED`."""
 SMOOTH_M = 0.06
-"""Width over which the slope of the ground is taken for the errors; assumed. [m]"""
+"""Width over which the slope of the ground is taken for the errors. Measured as `STEEPEST`: of 3, 6 and 12 cm errors
+are 1.37, 1.25 and 1.14 of the stated ones: wider is rougher. [m]"""
 LEVEL = 0.01
-"""Share of the weights' variance that holds a plane level where too few nodes say how it lies; assumed."""
+"""Share of the weights' variance that holds a plane level where too few nodes say how it lies. Measured as `STEEPEST`:
+a tenth and ten times as much change errors by 0.6 % at most."""
 
 
 class Cloud(NamedTuple):
@@ -84,13 +89,15 @@ def cloud_of(
 def cloud_ply(cloud: Cloud, light: FloatArray) -> bytes:
     """Points with their grey, 0 to 255 up to the brightest of `light` (n,), and random errors [px], as binary PLY (Turk
     1994). No library in use writes a table with a head like that."""
-    grey = np.clip(255 * light / max(float(light.max()), 1e-9), 0, 255).astype("u1")
-    columns = *cloud.points.T, grey, grey, grey, cloud.disparity.astype("<f4"), cloud.sigma_px.astype("<f4")
-    table = np.rec.fromarrays(columns, names="x,y,z,red,green,blue,disparity_px,sigma_px")
-    kinds = {"f8": "double", "u1": "uchar", "f4": "float"}
-    fields = [f"property {kinds[kind[1:]]} {name}" for name, kind in table.dtype.descr]
+    grey = np.clip(255 * light / max(float(light.max()), 1e-9), 0, 255)
+    names = ["x", "y", "z", "red", "green", "blue", "disparity_px", "sigma_px"]
+    kinds = ["<f8"] * 3 + ["u1"] * 3 + ["<f4"] * 2
+    columns = *cloud.points.T, grey, grey, grey, cloud.disparity, cloud.sigma_px
+    table: Any = np.rec.fromarrays(columns, dtype=np.dtype(list(zip(names, kinds, strict=True))))
+    words = {"<f8": "double", "u1": "uchar", "<f4": "float"}
+    fields = [f"property {words[kind]} {name}" for name, kind in zip(names, kinds, strict=True)]
     head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(table)}", *fields, "end_header", ""]
-    return "\n".join(head).encode() + table.tobytes()
+    return "\n".join(head).encode() + bytes(table.tobytes())
 
 
 def levelled(matches: StereoMatches, height_m: float) -> Pose:

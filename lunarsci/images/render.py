@@ -35,8 +35,6 @@ HURST = 0.8
 RMS_AT_METRE_M, MOTTLING = 0.02, 0.05
 """Rms height of wavelengths up to a metre [m], on which `roughness` is a factor, and of the reflectance over its mean
 from place to place [-]: assumed."""
-
-
 SKYLIGHT = 0.0015
 """Radiance factor of what is in shadow, lit by ground about it: assumed. [-]"""
 SINGLE_SCATTERING = 0.33

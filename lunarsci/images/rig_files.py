@@ -64,8 +64,6 @@ _SECTION = re.compile(r"^\s*\[([^\]]+)\]\s*$", re.MULTILINE)
 _BLOCK = re.compile(r"^(camera matrix|distortion|rectification|projection)\s*\n((?:[-+\d.eE \t]+\n?)+)", re.MULTILINE)
 _SIZE = re.compile(r"^(width|height)\s+(\d+)", re.MULTILINE)
 _SIDE = re.compile(r"^Camera([12])\.(\w+)$")
-
-
 METRES: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 """Metres of a unit."""
 USUAL_BASELINE_M = 0.2
@@ -102,8 +100,9 @@ KEYS = re.compile(
 """A line that a file of cameras in YAML has."""
 SURELY = re.compile(r"camera_?matrix|distortion_|intrinsics|opencv|camera_model|image_width", re.IGNORECASE)
 """What no other text has."""
-ZIPPED, SMALL_BYTES = b"PK\x03\x04", 4096
-"""How an archive begins, and of how many bytes no array of a camera is: assumed."""
+ZIPPED, SMALL_BYTES = b"PK\x03\x04", 128 + 16 * 8
+"""How an archive begins, and bytes of the largest array of a camera: 4 x 4 doubles and the head of NumPy's format (NEP
+1, 2007)."""
 STATED = "errors: a file of this kind states none"
 CAMERA_FORM = "a camera has image_width, image_height, camera_matrix and distortion_coefficients"
 ONE_CAMERA = "is one camera; a rig needs two"
@@ -315,7 +314,7 @@ def _of_archive(file: InputFile) -> dict[str, Any] | None:
     """The small arrays of NumPy's .npz, by their names; None of any other archive."""
     try:
         with np.load(io.BytesIO(file.data), allow_pickle=False) as archive:
-            small = [one.filename for one in archive.zip.infolist() if one.file_size < SMALL_BYTES]
+            small = [one.filename for one in archive.zip.infolist() if one.file_size <= SMALL_BYTES]
             return {name.removesuffix(".npy"): archive[name].squeeze().tolist() for name in small}
     except (ValueError, OSError, zipfile.BadZipFile):
         return None

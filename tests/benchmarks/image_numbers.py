@@ -7,7 +7,8 @@
 Each number is set as it is, and smaller and larger, beside the truth of the scenes (SYNTHETIC, by Mitsuba). Of heights
 it prints how many nodes have one, their rms error without the rig's own in mm, that over the stated one, and the share
 beyond four stated errors; of tracks the rms of the depths' errors in mm, and that over the stated one; of positions
-ties, error in percent of the way, and NEES over what is expected.
+ties, error in percent of the way, and NEES over what is expected; of maps of two stations the rms error in mm, and that
+over the stated one.
 """
 
 import argparse
@@ -23,6 +24,7 @@ import numpy as np
 from blind_scenes import Seen, heights, seen, tracks
 from stations import judged
 
+from lunarsci.images.elevation import StationPosition, merge
 from lunarsci.images.gridding import grid_of
 from lunarsci.images.jobs.locate import DeadReckoning, read_stations
 from lunarsci.images.jobs.requests import LocateRequest
@@ -46,7 +48,10 @@ NUMBERS: dict[str, tuple[Any, ...]] = {
     "tracks.RESOLUTION_OFF": (0.15, 0.3, 0.6),
     "tracks.CELL_SHARE": (0.15, 0.3, 0.6),
     "tracks.PRIOR_SHAMS": (2.0, 4.0, 8.0),
+    "elevation.BLOCK": (6, 12, 24),
+    "elevation.BETWEEN_NODES": (0.05, 0.1, 0.2),
     "adjustment.SMALLEST_PX": (0.05, 0.1, 0.2),
+    "localisation.FEWEST": (4, 8, 16),
     "localisation.HIDDEN": (0.01, 0.02, 0.04),
     "localisation.TEMPLATE_PX": ((31, 13), (41, 17), (61, 25)),
     "localisation.WIDE_PX": ((61, 19), (81, 25), (121, 37)),
@@ -82,6 +87,17 @@ def of_positions(scenes: list[tuple[list[Path], list[Any]]]) -> str:
     return "; ".join(parts)
 
 
+def of_maps(models: list[Seen]) -> str:
+    """Of both stations, the second of which is known to 2 cm and is off by as much."""
+    places = [StationPosition(), StationPosition(x_m=0.02, y_m=-0.02, covariance_m2=np.diag([4e-4] * 3))]
+    found = models[0].beside(merge([one.found.model for one in models], places).model)
+    error, stated = found["error"], np.hypot(found["random"], found["common"])
+    rms = float(np.sqrt(np.nanmean(error**2)))
+    return (
+        f"{len(error)} nodes, {1e3 * rms:.3f} mm, {rms / float(np.sqrt(np.nanmean(stated**2))):.3f} of the stated one"
+    )
+
+
 def read_scenes(folders: list[Path]) -> Iterator[tuple[list[Path], list[Any]]]:
     """Scenes of two stations and more, with their pairs matched."""
     asked = LocateRequest()
@@ -103,6 +119,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as made:
         first = [seen(pair, Path(made)) for pair in pairs]
         located = list(read_scenes(asked.scenes)) if any(name[0] in "al" for name in names) else []
+        both = [seen(asked.scenes[0] / f"station{k}", Path(made)) for k in (0, 1)] if "elevation.BLOCK" in names else []
         for name in names:
             module, _, number = name.partition(".")
             code = importlib.import_module(f"lunarsci.images.{module}")
@@ -113,6 +130,8 @@ def main() -> None:
                     said = of_heights([seen(pair, Path(made)) for pair in pairs])
                 elif module == "gridding":
                     said = of_heights([dataclasses.replace(one, found=regridded(one)) for one in first])
+                elif module == "elevation":
+                    said = of_maps(both)
                 else:
                     said = of_tracks(first) if module == "tracks" else of_positions(located)
                 print(f"{name} {value}{' (as it is)' if value == before else ''}: {said}", flush=True)
