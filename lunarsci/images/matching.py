@@ -40,7 +40,8 @@ STARTS_PX, START_SIGMAS = 0.5, 3.0
 many errors of a window. Measured (`tests/benchmarks/image_numbers.py`, 30 November 2026, a rendered pair): of 0.25, 0.5
 and 1 px errors of heights are 1.12, 1.23 and 1.28 of the stated ones, of 2, 3 and 4.5 errors 1.20, 1.23 and 1.26."""
 FARTHEST_PX = 0.9
-"""A window whose disparity moves farther from where it began is on something else; assumed. [px]"""
+"""A window whose disparity moves farther from where it began is on something else. Measured as `STARTS_PX`, with this
+file changed: of 0.45 and 1.8 px 97 and 100 % of the nodes have a height, with errors of 1.26 and 1.25. [px]"""
 STEEPEST = 2 / 3
 """Largest change of disparity from pixel to pixel of the left picture: 1 from pixel to pixel between both pictures
 (Pollard et al. 1985, Perception 14, 449, 10.1068/p140449). [px/px]"""

@@ -23,7 +23,8 @@ from lunarsci.images.elevation import Change, ElevationModel, change_of
 from lunarsci.io.inputs import read_input, read_json
 
 FLOOR_SHARE = 0.6
-"""Share of the wheel's width, about the middle, that is taken as floor: walls slide in at the sides; assumed."""
+"""Share of the wheel's width, about the middle, that is taken as floor: walls slide in at the sides. Measured as
+`COVERED`: of 0.4, 0.6 and 0.8 rms errors of depths are 5.7, 5.3 and 7.2 mm."""
 COVERED = 0.5, 0.3
 """Share of the nodes of the floor, and of the ground at each side, that must be known. Measured
 (`tests/benchmarks/image_numbers.py`, 30 November 2026, tracks of two rendered scenes): of half as much, as much and
