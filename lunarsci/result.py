@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 Given = ParamSpec("Given")
 Returned = TypeVar("Returned")
+Figures: TypeAlias = "Iterator[Figure]"
+"""Pictures of a result, page by page."""
 Progress: TypeAlias = Callable[[int, int], None]
 """What a job calls as it goes on: how much is done, and how much there is."""
 _MINERAL, _OF = f"({'|'.join(WITH_BANDS)})", "(_(low|high|sigma)(68|95)?)?$"
@@ -277,7 +279,7 @@ class Result(ABC):
         """The same where none of the columns wanted is of a part, as a band of a spectrum is: one of each thing."""
         return self.rows()
 
-    def figures(self) -> "Iterator[Figure]":
+    def figures(self) -> Figures:
         """The pages of `--plot`."""
         return iter(())
 

@@ -105,7 +105,8 @@ def sun_in_moon_frame(time: datetime) -> FloatArray:
 
 
 def upward(longitude_deg: float, latitude_deg: float) -> FloatArray:
-    """Unit vector away from the Moon's centre at a place, in the mean-Earth frame. (3,) [-]"""
+    """Unit vector away from the Moon's centre at a place, in the mean-Earth frame; so of any angle from x towards y and
+    angle above this plane. (3,) [-]"""
     lon, lat = math.radians(longitude_deg), math.radians(latitude_deg)
     return np.array([math.cos(lat) * math.cos(lon), math.cos(lat) * math.sin(lon), math.sin(lat)])
 

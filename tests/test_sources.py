@@ -24,6 +24,7 @@ NUMERICAL = re.compile(r"TOLERANCE|CONVERGED|DAMPING|LEVELS|PROBABILITIES|PERCEN
 SETTINGS = {
     "they are by definition what they are, or follow from others": (
         "arrays.py: NORMAL_MAD", "parallel/blocks.py: UNITS", "images/rig_files.py: METRES",
+        "images/camera.py: AHEAD",
         "compiled/lanes.py: LN_2_HIGH, LN_2_LOW",
         "regolith/inference/mode.py: RISES", "regolith/prior.py: STRANGE, NINETY_FIVE",
         "regolith/prior.py: DECADES", "regolith/inference/posterior.py: DECISIVE",

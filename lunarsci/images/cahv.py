@@ -24,8 +24,8 @@ from lunarsci.io.documents import xml_root
 from lunarsci.io.inputs import InputFile, read_input, text
 from lunarsci.ranges import refuse
 
-MOST_PX = 100_000
-"""Lines or samples of a picture: a hundred times those of cameras on rovers; assumed."""
+MOST_PX = 65_535
+"""Lines or samples of a picture: the most that JPEG has (ITU-T T.81, 1992, B.2.2)."""
 LABEL_BYTES = 1 << 18
 """Of a file that labels lie in: five times those of Mars 2020."""
 RANGES = (2.0, 5.0, 20.0)
@@ -158,15 +158,14 @@ class CahvModel:
 
     def toml(self) -> str:
         """Its numbers as a table within a line, to the last digit."""
-        parts = [f"{letter} = [{', '.join(repr(float(x)) for x in part)}]" for letter, part in self.vectors.items()]
+        parts = [f"{letter} = {part.tolist()}" for letter, part in self.vectors.items()]
         return f"{{ {', '.join([*parts, f'linearity = {self.linearity!r}'])} }}"
 
     @property
     def title(self) -> str:
         """CAHV, CAHVOR or CAHVORE, with P."""
-        return f"CAHVORE with P = {self.linearity:g}" if "E" in self.vectors else "CAHVOR" if "O" in self.vectors else (
-            "CAHV"
-        )  # fmt: skip
+        kind = "".join(letter for letter in "CAHVORE" if letter in self.vectors)
+        return f"{kind} with P = {self.linearity:g}" if "E" in kind else kind
 
 
 class StatedModel(NamedTuple):

@@ -7,6 +7,7 @@ all pixels share.
 
 import dataclasses
 import math
+import warnings
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -16,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
-from lunarsci.images.pictures import open_cv
+from lunarsci.images.pictures import cv2
 from lunarsci.names import one_of
 from lunarsci.ranges import refuse
 
@@ -35,9 +36,13 @@ PARAMETERS = (*(f"left_{n}" for n in INTRINSICS), *(f"right_{n}" for n in INTRIN
 MAST_M = 1.5
 """Height of a camera whose rig does not say: about that of the mast cameras of MER, 1.54 m (Maki et al. 2003,
 10.1029/2003JE002077). [m]"""
+COARSE_PX = 1.0
+"""A fit, a direction or a disparity that is off by more than a pixel is called so; assumed."""
 UNSTATED = (0.01, 0.4)
 """Errors of a rig whose file states none: of lengths, focal and the baseline, as shares, and what its rotation shifts
 [px]; measured: by as much do halves of six public sets of chessboards differ."""
+AHEAD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""Turns a direction of a camera into one whose x is ahead, y left and z up. (3, 3)"""
 PIXEL_MTF = 2 / math.pi
 """Contrast that a square pixel leaves at half a cycle a pixel. [-]"""
 
@@ -190,12 +195,12 @@ class Camera:
         rotated = np.asarray(turn, dtype=float), np.asarray(way_m, dtype=float)
         if self.lens is not None:
             return self._through_lens(points, *rotated)
-        pixels, slopes = open_cv().projectPoints(points, *rotated, self.matrix, self.distortion)
+        pixels, slopes = cv2.projectPoints(points, *rotated, self.matrix, self.distortion)
         slopes = np.asarray(slopes).reshape(-1, 2, 15)
         return Projection(np.asarray(pixels)[:, 0], slopes[..., :6], slopes[..., [6, 7, 8, 9, 10, 11, 14, 12, 13]])
 
     def _through_lens(self, points: FloatArray, turn: FloatArray, way_m: FloatArray) -> Projection:
-        """`project_with_derivatives` by the chain rule; those of `_by_xy` and of the rotation by differences."""
+        """`project_with_derivatives` by the chain rule; derivatives of the rotation are differences."""
         there = points @ rotation_of(turn).T + way_m
         x, y = (there[:, :2] / there[:, 2:]).T
         by_xy = self._by_xy(x, y) * np.array([[self.fx_px], [self.fy_px]])
@@ -219,12 +224,10 @@ class Camera:
                 x, y = self._undistorted(goal_x, goal_y)
         return np.stack([x, y, np.ones_like(x)], axis=-1)
 
-    def sees(self, pixels: npt.ArrayLike, margin_px: float = 0.0) -> npt.NDArray[np.bool_]:
-        """Whether pixels (..., 2) lie in the picture, `margin_px` from its border at least. (...)"""
+    def sees(self, pixels: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+        """Whether pixels (..., 2) lie in the picture. (...)"""
         given = np.asarray(pixels, dtype=float)
-        u, v = given[..., 0] - margin_px, given[..., 1] - margin_px
-        right, low = self.width_px - 1 - 2 * margin_px, self.height_px - 1 - 2 * margin_px
-        return (u >= -0.5) & (v >= -0.5) & (u <= right + 0.5) & (v <= low + 0.5)
+        return np.asarray(((given >= -0.5) & (given <= np.array(self.size) - 0.5)).all(axis=-1))
 
     def _distorted(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """x' and y' of `Camera` from x and y, directions over their z. [-]"""
@@ -239,17 +242,9 @@ class Camera:
         )
 
     def _by_xy(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Derivatives of what `_distorted` gives by x and y. (..., 2, 2)"""
-        if self.lens is not None:
-            ends = [(self._distorted(x + h, y + k), self._distorted(x - h, y - k)) for h, k in STEP * np.eye(2)]
-            return np.stack([(np.stack(more, -1) - np.stack(less, -1)) / (2 * STEP) for more, less in ends], -1)
-        r2 = x * x + y * y
-        radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
-        slope = self.k1 + r2 * (2 * self.k2 + 3 * r2 * self.k3)
-        mixed = 2 * (x * y * slope + self.p1 * x + self.p2 * y)
-        dxx = radial + 2 * x * x * slope + 2 * self.p1 * y + 6 * self.p2 * x
-        dyy = radial + 2 * y * y * slope + 6 * self.p1 * y + 2 * self.p2 * x
-        return np.stack([np.stack([dxx, mixed], -1), np.stack([mixed, dyy], -1)], -2)
+        """Derivatives of what `_distorted` gives by x and y, as differences. (..., 2, 2)"""
+        ends = [(self._distorted(x + h, y + k), self._distorted(x - h, y - k)) for h, k in STEP * np.eye(2)]
+        return np.stack([(np.stack(more, -1) - np.stack(less, -1)) / (2 * STEP) for more, less in ends], -1)
 
     def _undistorted(self, goal_x: FloatArray, goal_y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """x and y that `_distorted` leads to these, within the fold; NaN where none does. [-]"""
@@ -258,22 +253,15 @@ class Camera:
         shrink = np.minimum(1.0, 0.9 * fold / np.maximum(goal, 1e-300))
         x, y = goal_x * shrink, goal_y * shrink
         for _ in range(NEWTON_STEPS):
-            xd, yd = self._distorted(x, y)
-            step = _inverse_2x2(self._by_xy(x, y)) @ np.stack([goal_x - xd, goal_y - yd], -1)[..., None]
-            x, y = x + step[..., 0, 0], y + step[..., 1, 0]
+            off_x, off_y = (goal - now for goal, now in zip((goal_x, goal_y), self._distorted(x, y), strict=True))
+            (a, b), (c, d) = np.moveaxis(self._by_xy(x, y), (-2, -1), (0, 1))
+            step = np.stack([d * off_x - b * off_y, a * off_y - c * off_x]) / (a * d - b * c)
+            x, y = x + step[0], y + step[1]
             if not (np.abs(step) > CONVERGED).any():
                 break
         xd, yd = self._distorted(x, y)
         good = (np.hypot(xd - goal_x, yd - goal_y) < 1e3 * CONVERGED) & (np.hypot(x, y) < fold)
         return np.where(good, x, np.nan), np.where(good, y, np.nan)
-
-
-def _inverse_2x2(matrix: FloatArray) -> FloatArray:
-    """Inverses of matrices (..., 2, 2); infinite or NaN where there is none."""
-    a, b, c, d = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 0], matrix[..., 1, 1]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        over = 1.0 / (a * d - b * c)
-    return np.stack([np.stack([d * over, -b * over], -1), np.stack([-c * over, a * over], -1)], -2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -306,23 +294,14 @@ class Pose:
 
         `roll_deg` turns it clockwise about its axis, as seen from behind. [deg]
         """
-        turn, tilt, roll = map(math.radians, (heading_deg, down_deg, roll_deg))
-        forward = np.array([math.cos(tilt) * math.cos(turn), math.cos(tilt) * math.sin(turn), -math.sin(tilt)])
-        right = np.array([math.sin(turn), -math.cos(turn), 0.0])
-        down = np.cross(forward, right)
-        across = math.cos(roll) * right + math.sin(roll) * down
-        return cls(
-            rotation=np.stack([across, np.cross(forward, across), forward], axis=1),
-            center_m=np.asarray(center_m, dtype=float),
-        )
+        turn = Rotation.from_euler("ZYX", (heading_deg, down_deg, roll_deg), degrees=True)
+        return cls(rotation=turn.as_matrix() @ AHEAD, center_m=np.asarray(center_m, dtype=float))
 
     def angles_deg(self) -> tuple[float, float, float]:
         """Heading, angle below the horizon and roll of `looking`. [deg]"""
-        forward, across = self.rotation[:, 2], self.rotation[:, 0]
-        heading, down = math.atan2(forward[1], forward[0]), -math.asin(float(np.clip(forward[2], -1, 1)))
-        right = np.array([math.sin(heading), -math.cos(heading), 0.0])
-        roll = math.atan2(float(across @ np.cross(forward, right)), float(across @ right))
-        return math.degrees(heading), math.degrees(down), math.degrees(roll)
+        with warnings.catch_warnings(action="ignore"):  # straight down heading and roll are one angle
+            heading, down, roll = Rotation.from_matrix(self.rotation @ AHEAD.T).as_euler("ZYX", degrees=True)
+        return float(heading), float(down), float(roll)
 
     def to_dict(self) -> dict[str, Any]:
         """position_m, heading_deg, down_deg and roll_deg, as results and files have them."""
@@ -350,7 +329,8 @@ def vector_of(rotation: npt.ArrayLike) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sensor:
-    """What makes numbers of light, the same in both cameras.
+    """What makes numbers of light, the same in both cameras; by default as of Yutu-2's PanCam (`rigs.toml`), with
+    assumed noise of reading.
 
     Attributes
     ----------
@@ -462,20 +442,27 @@ class StereoRig:
         """Standard deviation of each of `PARAMETERS`, in the unit that its name ends in."""
         return dict(zip(PARAMETERS, map(math.sqrt, np.diag(self.covariance)), strict=True))
 
+    @property
+    def in_rows(self) -> FloatArray:
+        """From the left camera's frame to one with rows in line: x along the baseline, z between both axes. (3, 3)"""
+        along, ahead = -self.rotation.T @ self.translation_m / self.baseline_m, self.rotation[2] + [0.0, 0.0, 1.0]
+        ahead = ahead - (ahead @ along) * along
+        ahead /= np.linalg.norm(ahead)
+        return np.stack([along, np.cross(ahead, along), ahead])
+
     def summary(self) -> dict[str, Any]:
         """Name, baseline, and what is assumed, for a result."""
         return {"name": self.name, "baseline_m": self.baseline_m, "assumed": list(self.assumed)}
 
     def moved(self, changes: npt.ArrayLike) -> "StereoRig":
         """The rig with its parameters changed by so much. (24,)"""
-        delta = np.asarray(changes, dtype=float)
-        count = len(INTRINSICS)
+        left, right, turn, way = np.split(np.asarray(changes, dtype=float), (9, 18, 21))
         return dataclasses.replace(
             self,
-            left=self.left.with_vector(self.left.vector() + delta[:count]),
-            right=self.right.with_vector(self.right.vector() + delta[count : 2 * count]),
-            rotation=rotation_of(delta[2 * count : 2 * count + 3]) @ self.rotation,
-            translation_m=self.translation_m + delta[2 * count + 3 :],
+            left=self.left.with_vector(self.left.vector() + left),
+            right=self.right.with_vector(self.right.vector() + right),
+            rotation=rotation_of(turn) @ self.rotation,
+            translation_m=self.translation_m + way,
         )
 
     def with_pixels(self, width_px: int) -> "StereoRig":

@@ -20,8 +20,6 @@ from lunarsci.images.rocks import RockSurvey
 from lunarsci.images.tracks import TrackDepths, TrackProfile, places_on, unrolled
 
 MARK, BAND = VERMILION, "#9fb4c0"
-
-
 REASON_COLOURS = ("#ffffff", "#bcc4c8", "#f6e27a", "#000000", "#e08f3c", "#7a1f8f", "#3f74c9", "#003d2e")
 """Of `REASONS` in their order; in grey each is by a tenth lighter or darker than the next."""
 LONG = 0.08

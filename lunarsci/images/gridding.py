@@ -2,7 +2,7 @@
 
 import math
 from statistics import NormalDist
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,23 +22,28 @@ COMMON_NODES = 4
 """Distance of the nodes at which the rig's errors are computed; they change slowly between these."""
 OUTLYING = NormalDist().inv_cdf(1 - SIGNIFICANCE / 2)
 """Heights that lie farther from their cell's median, in standard deviations beside its slope, are left out:
-`SIGNIFICANCE` of sound ones are; assumed."""
+as `SIGNIFICANCE` of sound ones are."""
 STEEPEST = 1.5
-"""Slope that a cell may have; assumed. [-]"""
+"""Slope that a cell may have. Measured (`tests/benchmarks/image_numbers.py`, 30 November 2026, two rendered pairs):
+from 1 to 2.25 heights stay as good, and their errors within 0.1 %. [-]"""
 GRAZING_DEG = 3.0
-"""What is seen flatter than that is no surface: something may hide between its pixels; assumed. [deg]"""
+"""What is seen flatter than that is no surface: something may hide between its pixels. Measured as `STEEPEST`: of 1.5,
+3 and 6 deg 102, 100 and 85 % of the nodes have a height, with rms errors of 9.9, 9.0 and 6.8 mm. [deg]"""
 PARTS = 3
 """A cell's height is the mean over so many places along x and y on the triangles between pixels."""
 COVERED = 0.5
-"""Share of these places that must lie on triangles; assumed."""
+"""Share of these places that must lie on triangles. Measured as `STEEPEST`: of 0.25, 0.5 and 0.75 104, 100 and 96 % of
+the nodes have a height, with rms errors of 9.4, 9.0 and 8.7 mm."""
 ALIKE = 4 / 7
 """Distance of pixels whose errors are independent, as a share of their windows: as `matching.CORRELATED`."""
 HIDDEN = 0.8
 """Error of what no pixel shows of a cell, over that relief: as `matching.CORRELATED`."""
 SMOOTH_M = 0.06
-"""Width over which the slope of the ground is taken for the errors; assumed. [m]"""
+"""Width over which the slope of the ground is taken for the errors. Measured as `STEEPEST`: of 3, 6 and 12 cm errors
+are 1.37, 1.25 and 1.14 of the stated ones: wider is rougher. [m]"""
 LEVEL = 0.01
-"""Share of the weights' variance that holds a plane level where too few nodes say how it lies; assumed."""
+"""Share of the weights' variance that holds a plane level where too few nodes say how it lies. Measured as `STEEPEST`:
+a tenth and ten times as much change errors by 0.6 % at most."""
 
 
 class Cloud(NamedTuple):
@@ -67,11 +72,8 @@ def cloud_of(
     DataError where there are none."""
     valid = np.isfinite(matches.disparity) & (matches.disparity > 0)
     place = np.argwhere(valid)
-    frame = matches.rectified
-    d = matches.disparity[valid]
-    depth = frame.focal_px * frame.baseline_m / d
-    rays = np.column_stack([(place[:, ::-1] - np.array(frame.center_px)) / frame.focal_px, np.ones(len(d))])
-    local = (rays * depth[:, None]) @ frame.turn
+    frame, d = matches.rectified, matches.disparity[valid]
+    local = frame.points(matches.disparity)[valid]
     if rigs is not None:
         places = place[:, ::-1].astype(float)
         left = original_px(frame, rigs[0], places)
@@ -88,16 +90,14 @@ def cloud_ply(cloud: Cloud, light: FloatArray) -> bytes:
     """Points with their grey, 0 to 255 up to the brightest of `light` (n,), and random errors [px], as binary PLY (Turk
     1994). No library in use writes a table with a head like that."""
     grey = np.clip(255 * light / max(float(light.max()), 1e-9), 0, 255)
-    places = [(name, "<f8") for name in "xyz"]
-    colours = [(name, "u1") for name in ("red", "green", "blue")]
-    table = np.empty(len(cloud.points), dtype=[*places, *colours, ("disparity_px", "<f4"), ("sigma_px", "<f4")])
+    names = ["x", "y", "z", "red", "green", "blue", "disparity_px", "sigma_px"]
+    kinds = ["<f8"] * 3 + ["u1"] * 3 + ["<f4"] * 2
     columns = *cloud.points.T, grey, grey, grey, cloud.disparity, cloud.sigma_px
-    for name, values in zip(table.dtype.names or (), columns, strict=True):
-        table[name] = values
-    kinds = {"f8": "double", "u1": "uchar", "f4": "float"}
-    fields = [f"property {kinds[table.dtype[name].str[1:]]} {name}" for name in table.dtype.names or ()]
+    table: Any = np.rec.fromarrays(columns, dtype=np.dtype(list(zip(names, kinds, strict=True))))
+    words = {"<f8": "double", "u1": "uchar", "<f4": "float"}
+    fields = [f"property {words[kind]} {name}" for name, kind in zip(names, kinds, strict=True)]
     head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(table)}", *fields, "end_header", ""]
-    return "\n".join(head).encode() + table.tobytes()
+    return "\n".join(head).encode() + bytes(table.tobytes())
 
 
 def levelled(matches: StereoMatches, height_m: float) -> Pose:
@@ -138,54 +138,39 @@ def grid_of(
     size = np.ceil(cloud.points[:, :2].max(axis=0) / spacing_m) - low + 1
     shape = int(size[1]), int(size[0])
     x0, y0 = (float(v) for v in low * spacing_m)
-    cells = np.rint((cloud.points[:, :2] - (x0, y0)) / spacing_m).astype(np.int64)
-    cell = cells[:, 1] * shape[1] + cells[:, 0]
+    column, row = np.rint((cloud.points[:, :2] - (x0, y0)) / spacing_m).astype(np.int64).T
+    cell = row * shape[1] + column
     first = _medians(cell, cloud.points[:, 2], shape)
-    gain = _height_by_disparity(cloud, first, pose, cells, spacing_m)
-    away = np.linalg.norm((cloud.points - pose.center_m)[:, :2], axis=1)
-    aside = _unevenness(first, spacing_m)[cells[:, 1], cells[:, 0]] * away / cloud.disparity
+    slopes, way = _slope(first, spacing_m), cloud.points - pose.center_m
+    # By so much a disparity changes the height at a place, on ground as steep as about it. [m/px]
+    slope_y, slope_x = (slope[row, column] for slope in slopes)
+    gain = (slope_x * way[:, 0] + slope_y * way[:, 1] - way[:, 2]) / cloud.disparity
+    aside = _unevenness(first, slopes, spacing_m)[row, column] * np.linalg.norm(way[:, :2], axis=1) / cloud.disparity
     sigma = np.hypot(gain, aside) * cloud.sigma_px
-    window = cloud.window_px * np.linalg.norm(cloud.points - pose.center_m, axis=1) / matches.rectified.focal_px
+    window = cloud.window_px * np.linalg.norm(way, axis=1) / matches.rectified.focal_px
     near = np.abs(cloud.points[:, 2] - first.ravel()[cell]) <= OUTLYING * sigma + STEEPEST * spacing_m
     values = np.column_stack([cloud.points[:, 2], sigma**2, gain, window, ALIKE * cloud.window_px])
     layers, covered = _on_triangles(cloud, near, values, matches, (x0, y0, spacing_m), shape)
     height, variance, by_disparity, width, alike, between = np.moveaxis(layers, -1, 0)
     count = np.bincount(cell[near], minlength=shape[0] * shape[1]).reshape(shape)
     common, shift = _common_errors(moved or rig, pose, height, (x0, y0, spacing_m), covariance)
-    means = _spread_of_means(height, variance, (count, alike), covered, spacing_m)
+    # The error of a mean over n neighbouring pixels that are alike over w falls as w / (sqrt(n) + w - 1).
+    alone = alike / (np.sqrt(np.maximum(count, 1)) + alike - 1) * np.sqrt(variance)
+    hidden = HIDDEN * (1.0 - covered) * _relief(height, spacing_m)
+    slopes = _slope(height, spacing_m)
     return ElevationModel(
         name=name,
         x0_m=x0,
         y0_m=y0,
         spacing_m=spacing_m,
         height_m=height,
-        height_m_sigma=np.hypot(means, np.sqrt(between)),
-        height_m_common_sigma=np.hypot(common, _unevenness(height, spacing_m) * shift),
+        height_m_sigma=np.sqrt(alone**2 + hidden**2 + between),
+        height_m_common_sigma=np.hypot(common, _unevenness(height, slopes, spacing_m) * shift),
         count=np.where(np.isfinite(height), np.maximum(count, 0.5), 0.0),
         height_by_disparity_m_px=by_disparity,
         resolution_m=np.nan_to_num(width),
         synthetic=synthetic,
     )
-
-
-def _spread_of_means(
-    height: FloatArray,
-    variance: FloatArray,
-    pixels: tuple[npt.NDArray[np.int64], FloatArray],
-    covered: FloatArray,
-    spacing_m: float,
-) -> FloatArray:
-    """Random error of the cells' means. (ny, nx) [m]
-
-    By cell (ny, nx): height [m], variance of a pixel's height [m2], count of pixels and over how many along a side they
-    are alike [px], share that triangles cover.
-
-    The error of a mean over n neighbouring pixels that are alike over w pixels falls as w / (sqrt(n) + w - 1). What no
-    pixel shows of a cell is off by the relief.
-    """
-    alone = pixels[1] / (np.sqrt(np.maximum(pixels[0], 1)) + pixels[1] - 1)
-    relief = _relief(height, spacing_m)
-    return np.asarray(np.hypot(alone * np.sqrt(variance), HIDDEN * (1.0 - covered) * relief))
 
 
 def _medians(cell: npt.NDArray[np.int64], z: FloatArray, shape: tuple[int, int]) -> FloatArray:
@@ -195,25 +180,11 @@ def _medians(cell: npt.NDArray[np.int64], z: FloatArray, shape: tuple[int, int])
     return medians.reshape(shape)
 
 
-def _height_by_disparity(
-    cloud: Cloud, height: FloatArray, pose: Pose, cells: npt.NDArray[np.int64], spacing_m: float
-) -> FloatArray:
-    """Change of the height at a place with the disparity of a pixel, on ground as steep as about it. (n,) [m/px]
-
-    height : of the cells. (ny, nx) [m]
-    cells : column and row of the cell of each pixel. (n, 2)
-    """
-    slope_y, slope_x = _slope(height, spacing_m)
-    way = cloud.points - pose.center_m
-    along = slope_x[cells[:, 1], cells[:, 0]] * way[:, 0] + slope_y[cells[:, 1], cells[:, 0]] * way[:, 1]
-    return np.asarray((along - way[:, 2]) / cloud.disparity)
-
-
-def _unevenness(height: FloatArray, spacing_m: float) -> FloatArray:
-    """Rms of slopes from node to node about the smoothed ones; 0 where nothing is known. (ny, nx) [-]"""
+def _unevenness(height: FloatArray, slopes: tuple[FloatArray, FloatArray], spacing_m: float) -> FloatArray:
+    """Rms of slopes from node to node about the smoothed ones of `_slope`; 0 where nothing is known. (ny, nx) [-]"""
     apart = [
         np.clip(np.gradient(height, spacing_m, axis=axis), -STEEPEST, STEEPEST) - smooth
-        for axis, smooth in enumerate(_slope(height, spacing_m))
+        for axis, smooth in enumerate(slopes)
     ]
     mean = mean_about(0.5 * (apart[0] ** 2 + apart[1] ** 2), SMOOTH_M / spacing_m)
     return np.sqrt(np.nan_to_num(mean))

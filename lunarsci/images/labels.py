@@ -37,10 +37,9 @@ MOST_TRIES = 100
 """Of a fit; sound models need some ten."""
 RIGHT_ANGLE_DEG = 15.0
 """How far the line between two centres may lie from the left camera's rows before its frame is doubted; assumed."""
-COARSE_PX = 1.0
-"""A fit that misses by more than a pixel says so, as does a calibration; assumed."""
 CLOSE_PX = 0.05
-"""What the terms of Brown may miss a model by before it is used itself: what least squares match at best; assumed."""
+"""What the terms of Brown may miss a model by before it is used itself: rows of a rendered pair are matched to this,
+measured as `UNEVEN_PX`."""
 DOWN = "z of the label's frame points down: x, -y, -z of it are told"
 CORNERS = ("up_left", "down_left", "up_right", "down_right", "center")
 """Places of the picture whose directions a label lists."""

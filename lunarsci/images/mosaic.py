@@ -31,7 +31,6 @@ from lunarsci.images.localisation import Localised
 MODES = 8
 """Ways in which a pair's heights may be off together. Measured: what others make of heights is 0.1 mm (rms) in rendered
 pairs of a NavCam, of 24 mm."""
-
 BIASED = 0.2
 """Share of their random errors by which all heights of a pair are off together. Measured: in three rendered scenes
 heights from afar, where hollows are hidden, are higher than from near by 0.1 to 0.2 of that."""

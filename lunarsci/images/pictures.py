@@ -35,9 +35,21 @@ RAW_TYPES = {
 MOST_PIXELS = 50_000_000
 """Of a picture, with all colours of a raw one: it takes 0.4 GB as numbers, and reading it five times as much."""
 NO_PICTURE = "no picture that can be read; give PNG, TIFF, JPEG, or a product with a label of PDS3, VICAR or PDS4"
-FLAT = 4.0
-"""A picture whose values spread less over their bits than this share of a thousand shows nothing; assumed."""
 TOO_LARGE = f"a picture of more than {MOST_PIXELS / 1e6:.0f} million pixels; cut out the part that is wanted"
+
+
+class _OpenCV:
+    """The module cv2, imported when it is needed. Raises ParameterError, which names the extra, where it is missing."""
+
+    def __getattr__(self, name: str) -> Any:
+        try:
+            import cv2 as module
+        except ImportError as error:
+            raise ParameterError("pictures need OpenCV; pip install 'lunarsci[images]'") from error
+        return getattr(module, name)
+
+
+cv2 = _OpenCV()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -66,12 +78,12 @@ class Picture:
         return np.asarray(self.values >= 2**self.bits - 1.5)
 
     def check(self) -> None:
-        """Raise DataError for a picture that is dark, even or overexposed all over."""
+        """Raise DataError for a picture that is overexposed, or of one number in 8 bits, as OpenCV looks at it."""
         low, high = np.percentile(self.values, [1, 99])
         full = self.saturated.mean()
         reasons = {
             f"{full:.0%} of it is overexposed; take a shorter one": full > 0.5,
-            f"shows nothing: values {low:g} to {high:g} of {2**self.bits - 1}": high - low < FLAT * 1e-3 * 2**self.bits,
+            f"shows nothing: values {low:g} to {high:g} of {2**self.bits - 1}": high - low < 2**self.bits / 256,
         }
         refuse(reasons, self.source.name, DataError)
 
@@ -88,7 +100,6 @@ def read_picture(source: str | Path | InputFile) -> Picture:
         return _read_pds4(label)
     if label is not None:
         return _read_labelled(file, label)
-    cv2 = open_cv()
     _check_size(file)
     with unheard():
         values = cv2.imdecode(np.frombuffer(file.data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
@@ -193,15 +204,6 @@ def _without_mosaic(values: FloatArray) -> FloatArray:
     """Grey of an RGGB mosaic: each pixel with its neighbours, weighted so that every place has each colour alike."""
     kernel = np.outer([0.25, 0.5, 0.25], [0.25, 0.5, 0.25])
     return np.asarray(convolve(values, kernel, mode="mirror"))
-
-
-def open_cv() -> Any:
-    """The module cv2. Raises ParameterError, which names the extra, where it is not installed."""
-    try:
-        import cv2
-    except ImportError as error:
-        raise ParameterError("pictures need OpenCV; pip install 'lunarsci[images]'") from error
-    return cv2
 
 
 def png_bytes(values: npt.NDArray[np.uint16], words: dict[str, str]) -> bytes:

@@ -8,16 +8,17 @@ use in geodetic networks, Neth. Geod. Comm. 2, 5).
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from lunarsci.arrays import NORMAL_MAD, SIGNIFICANCE, FloatArray, robust_fit, robust_scatter
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.images.camera import MAST_M, PARAMETERS, Pose, StereoRig, unstated_covariance
-from lunarsci.images.pictures import Picture, open_cv
+from lunarsci.images.pictures import Picture, cv2
 
 HIGHLANDS, MARIA = NORMAL_MAD * math.radians(7.5), NORMAL_MAD * math.radians(2.0)
 """Standard deviations of the ground's slope along a line, from medians over 17 m (Rosenburg et al. 2011,
@@ -37,7 +38,7 @@ COMMON = 1.5
 """Errors of the terms of rows over those by their scatter: measured on 14 rendered pairs with their true
 rigs (`tests/benchmarks/wrong_rigs.py`)."""
 ROW_PX = 3.0
-"""Rows that scatter by less are those of one scene; assumed. [px]"""
+"""Rows that are farther apart, or scatter by more, are of another rig or scene; assumed. [px]"""
 NEAREST = 0.25
 """Share of the ties that are the near ground; assumed."""
 OTHER = "no single error explains it: the rig is another one, or the rover moved between the pictures"
@@ -100,7 +101,7 @@ class Reliability:
 
 def ties_of(left: Picture, right: Picture) -> CommonFeatures:
     """Features of the left picture with the likest ones of the right picture."""
-    cv2, words, places = open_cv(), [], []
+    words, places = [], []
     sift = cv2.SIFT_create(nfeatures=2000, contrastThreshold=0.01)
     share = min(1.0, math.sqrt(LOOKED_PX / left.values.size))
     for picture in (left, right):
@@ -113,20 +114,27 @@ def ties_of(left: Picture, right: Picture) -> CommonFeatures:
             return CommonFeatures(np.empty((0, 2)), np.empty((0, 2)))
         words.append(one)
         places.append((np.asarray(cv2.KeyPoint_convert(keys), dtype=float) + 0.5) / share - 0.5)
-    pairs = cv2.BFMatcher().knnMatch(*words, k=2)
-    good = [best for best, second in pairs if best.distance < LIKE * second.distance]
-    return CommonFeatures(places[0][[one.queryIdx for one in good]], places[1][[one.trainIdx for one in good]])
+    return CommonFeatures(*likest(places, words))
+
+
+def likest(
+    places: Sequence[FloatArray], words: Sequence[npt.NDArray[np.float32]], within: npt.NDArray[np.uint8] | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Places of features of two pictures whose words are alike, and unlike those of the second likest.
+
+    `places` (n, 2) and (m, 2) [px], `words` (n, 128) and (m, 128), `within` (n, m), above 0 for pairs that may be; what
+    is returned (k, 2) each.
+    """
+    pairs = cv2.BFMatcher().knnMatch(*words, k=2, mask=within)
+    good = [best[0] for best in pairs if best and (len(best) < 2 or best[0].distance < LIKE * best[1].distance)]
+    return places[0][[one.queryIdx for one in good]], places[1][[one.trainIdx for one in good]]
 
 
 def _apart(rig: StereoRig, ties: CommonFeatures) -> FloatArray:
     """Place of each tie in the rectified left picture, about its middle in widths, and its disparity and the distance
     of its rows there; NaN for none. (n, 4) [-, -, px, px]"""
-    along = -rig.rotation.T @ rig.translation_m / rig.baseline_m
-    ahead = np.array([0.0, 0.0, 1.0]) + rig.rotation.T @ np.array([0.0, 0.0, 1.0])
-    ahead -= (ahead @ along) * along
-    ahead /= np.linalg.norm(ahead)
-    turn = np.stack([along, np.cross(ahead, along), ahead])
-    rays = rig.left.rays(ties.left) @ turn.T, rig.right.rays(ties.right) @ rig.rotation @ turn.T
+    turn = rig.in_rows.T
+    rays = rig.left.rays(ties.left) @ turn, rig.right.rays(ties.right) @ rig.rotation @ turn
     first, second = (rig.left.fx_px * ray[:, :2] / ray[:, 2:] for ray in rays)
     return np.column_stack([first / rig.left.width_px, first[:, 0] - second[:, 0], second[:, 1] - first[:, 1]])
 

@@ -10,7 +10,7 @@ import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -19,10 +19,12 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from lunarsci.arrays import FloatArray
 from lunarsci.compiled import compiled, each_in_threads
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.images import Law
 from lunarsci.images.camera import Camera, Pose, StereoRig
 from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.ranges import refuse
 from lunarsci.result import Progress
+from lunarsci.sun import upward
 
 ROCK_COLUMNS = ("x_m", "y_m", "z_m", "a_m", "b_m", "c_m", "turn_deg")
 """Columns of a landscape's rocks: middle, half axes along and across, half height, direction of the first axis."""
@@ -33,8 +35,6 @@ HURST = 0.8
 RMS_AT_METRE_M, MOTTLING = 0.02, 0.05
 """Rms height of wavelengths up to a metre [m], on which `roughness` is a factor, and of the reflectance over its mean
 from place to place [-]: assumed."""
-
-
 SKYLIGHT = 0.0015
 """Radiance factor of what is in shadow, lit by ground about it: assumed. [-]"""
 SINGLE_SCATTERING = 0.33
@@ -43,8 +43,6 @@ ROCK_ALBEDO = 1.15
 """Reflectance of rocks over the ground's: assumed. [-]"""
 LIFT_M = 1e-5
 """How far over a surface a ray begins that leaves it. [m]"""
-Law = Literal["lommel-seeliger", "hapke"]
-"""How the ground scatters light."""
 SKY, GROUND, ROCK = 0, 1, 2
 """What a ray meets, as numbers of `Seen.kind` and `PixelTruth.kind`."""
 SUN_RADIUS_RAD = math.radians(0.2666)
@@ -99,9 +97,7 @@ class Landscape:
     @property
     def sun(self) -> FloatArray:
         """Direction to the Sun. (3,)"""
-        azimuth, elevation = math.radians(self.sun_azimuth_deg), math.radians(self.sun_elevation_deg)
-        level = math.cos(elevation)
-        return np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)])
+        return upward(self.sun_azimuth_deg, self.sun_elevation_deg)
 
     def ground(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> FloatArray:
         """Height of the triangles without rocks at places of any one shape; NaN beyond the grid. [m]"""

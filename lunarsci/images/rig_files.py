@@ -8,6 +8,7 @@ from its centre. Also VINS, ORB-SLAM 3 and instant-ngp.
 """
 
 import io
+import json
 import re
 import tomllib
 import zipfile
@@ -26,6 +27,7 @@ from lunarsci.errors import DataError, ParameterError
 from lunarsci.images import LengthUnit
 from lunarsci.images.cahv import CahvModel, count_of, is_product, label_of, orthonormal
 from lunarsci.images.camera import (
+    COARSE_PX,
     INTRINSICS,
     PARAMETERS,
     RELATIVE,
@@ -39,8 +41,8 @@ from lunarsci.images.camera import (
     unstated_covariance,
     vector_of,
 )
-from lunarsci.images.labels import COARSE_PX, fit_cahv, read_label, rig_of_labels
-from lunarsci.images.pictures import open_cv
+from lunarsci.images.labels import fit_cahv, read_label, rig_of_labels
+from lunarsci.images.pictures import Picture, cv2
 from lunarsci.io.documents import json_document, toml_document, xml_root, yaml_document
 from lunarsci.io.inputs import InputFile, beginning, read_input, text
 from lunarsci.ranges import refuse
@@ -62,8 +64,6 @@ _SECTION = re.compile(r"^\s*\[([^\]]+)\]\s*$", re.MULTILINE)
 _BLOCK = re.compile(r"^(camera matrix|distortion|rectification|projection)\s*\n((?:[-+\d.eE \t]+\n?)+)", re.MULTILINE)
 _SIZE = re.compile(r"^(width|height)\s+(\d+)", re.MULTILINE)
 _SIDE = re.compile(r"^Camera([12])\.(\w+)$")
-
-
 METRES: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 """Metres of a unit."""
 USUAL_BASELINE_M = 0.2
@@ -100,8 +100,9 @@ KEYS = re.compile(
 """A line that a file of cameras in YAML has."""
 SURELY = re.compile(r"camera_?matrix|distortion_|intrinsics|opencv|camera_model|image_width", re.IGNORECASE)
 """What no other text has."""
-ZIPPED, SMALL_BYTES = b"PK\x03\x04", 4096
-"""How an archive begins, and of how many bytes no array of a camera is: assumed."""
+ZIPPED, SMALL_BYTES = b"PK\x03\x04", 128 + 16 * 8
+"""How an archive begins, and bytes of the largest array of a camera: 4 x 4 doubles and the head of NumPy's format (NEP
+1, 2007)."""
 STATED = "errors: a file of this kind states none"
 CAMERA_FORM = "a camera has image_width, image_height, camera_matrix and distortion_coefficients"
 ONE_CAMERA = "is one camera; a rig needs two"
@@ -158,16 +159,18 @@ def _plainer(tree: Mapping[str, Any]) -> Mapping[str, Any]:
 def _of_colmap(line: re.Match[str]) -> dict[str, Any]:
     given = dict(zip(COLMAP[line[2]], map(float, line[5].split()), strict=False))
     size = given.get("f", 0.0)
-    fx, fy = given.get("fx", size), given.get("fy", size)
+    middle = [given.get(name, 0.0) - CORNER_PX for name in ("cx", "cy")]
     fisheye = line[2] == "OPENCV_FISHEYE"
     terms = ("k1", "k2", "k3", "k4") if fisheye else (*BROWN, "k4", "k5", "k6")
-    return {
-        "image_width": int(line[3]),
-        "image_height": int(line[4]),
-        "intrinsics": [fx, fy, given.get("cx", 0.0) - CORNER_PX, given.get("cy", 0.0) - CORNER_PX],
-        "distortion": [given.get(term, 0.0) for term in terms],
-        "distortion_model": "equidistant" if fisheye else "",
-    }
+    lens = [given.get(term, 0.0) for term in terms]
+    made = _as_camera(line[3], line[4], [given.get("fx", size), given.get("fy", size), *middle], lens)
+    return made | {"distortion_model": "equidistant" if fisheye else ""}
+
+
+def _as_camera(width: object, height: object, pinhole: list[float], lens: list[float]) -> dict[str, Any]:
+    """Keys of a camera; `pinhole` is fx, fy, cx, cy [px], `lens` in the order of OpenCV."""
+    size = {"image_width": int(str(width)), "image_height": int(str(height))}
+    return {**size, "intrinsics": pinhole, "distortion": lens}
 
 
 def _of_ini(content: str) -> dict[str, Any]:
@@ -197,22 +200,13 @@ def _of_metashape(file: InputFile) -> dict[str, Any]:
     width, height, size = (number.get(key, 0.0) for key in ("width", "height", "f"))
     middle = [0.5 * width + number.get("cx", 0.0) - CORNER_PX, 0.5 * height + number.get("cy", 0.0) - CORNER_PX]
     terms = [number.get(key, 0.0) for key in ("k1", "k2", "p2", "p1", "k3")]
-    return {
-        "image_width": int(width),
-        "image_height": int(height),
-        "intrinsics": [size + number.get("b1", 0.0), size, *middle],
-        "distortion": terms,
-    }
+    return _as_camera(int(width), int(height), [size + number.get("b1", 0.0), size, *middle], terms)
 
 
 def _of_transforms(file: InputFile) -> dict[str, Any]:
     given = json_document(text(file))
-    return {
-        "image_width": int(given["w"]),
-        "image_height": int(given["h"]),
-        "intrinsics": [given["fl_x"], given.get("fl_y", given["fl_x"]), given["cx"], given["cy"]],
-        "distortion": [given.get(term, 0.0) for term in BROWN],
-    }
+    pinhole = [given["fl_x"], given.get("fl_y", given["fl_x"]), given["cx"], given["cy"]]
+    return _as_camera(int(given["w"]), int(given["h"]), pinhole, [given.get(term, 0.0) for term in BROWN])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -279,7 +273,7 @@ class _LensModel(CahvModel):
 
     def project(self, points: FloatArray) -> FloatArray:
         """Pixels (n, 2) of points (n, 3)."""
-        cv2, matrix = open_cv(), np.stack([self.vectors[name] for name in "HVA"])
+        matrix = np.stack([self.vectors[name] for name in "HVA"])
         lens = cv2.fisheye.projectPoints if self.fisheye else cv2.projectPoints
         return np.asarray(lens(points.reshape(-1, 1, 3), np.zeros(3), np.zeros(3), matrix, self.lens)[0])[:, 0]
 
@@ -320,7 +314,7 @@ def _of_archive(file: InputFile) -> dict[str, Any] | None:
     """The small arrays of NumPy's .npz, by their names; None of any other archive."""
     try:
         with np.load(io.BytesIO(file.data), allow_pickle=False) as archive:
-            small = [one.filename for one in archive.zip.infolist() if one.file_size < SMALL_BYTES]
+            small = [one.filename for one in archive.zip.infolist() if one.file_size <= SMALL_BYTES]
             return {name.removesuffix(".npy"): archive[name].squeeze().tolist() for name in small}
     except (ValueError, OSError, zipfile.BadZipFile):
         return None
@@ -626,7 +620,7 @@ def _read(document: Mapping[str, Any], origin: str) -> StereoRig:
     turn, way = vector_of(rig.rotation.T), -rig.rotation.T @ rig.translation_m
     raise DataError(
         f"{origin}: the right camera is left of the left one. If the cameras are swapped exchange [left] and [right], "
-        f"with rotation_rad = [{_numbers(turn)}] and translation_m = [{_numbers(way)}]; if translation_m is meant as "
+        f"with rotation_rad = {turn.tolist()} and translation_m = {way.tolist()}; if translation_m is meant as "
         "the right camera's place in the left one's frame change its signs"
     )
 
@@ -695,51 +689,47 @@ def _assumed(document: Mapping[str, Any]) -> list[str]:
 
 def rig_text(rig: StereoRig) -> str:
     """The TOML file of a rig, which `read_rig` reads back to the last digit."""
-    lines = [f"name = {_quoted(rig.name)}", f"source = {_quoted(rig.source)}"]
-    lines += [f"assumed = [{', '.join(map(_quoted, rig.assumed))}]"]
-    lines += [f"{name} = {getattr(rig.sensor, name)!r}" for name in SENSOR]
-    lines += [f"nearest_m = {rig.nearest_m!r}"]
-    lines += [] if rig.mast_height_m is None else [f"mast_height_m = {rig.mast_height_m!r}"]
+    given = {key: getattr(rig, key) for key in ("name", "source", "assumed", "nearest_m", "mast_height_m")}
+    lines = _toml_lines(given | {name: getattr(rig.sensor, name) for name in SENSOR})
     lines += [*_covariance_lines(PARAMETERS, rig.covariance), ""]
     for side, camera in (("left", rig.left), ("right", rig.right)):
         lines += [*_camera_lines(side, camera), ""]
-    lines += ["[relative]", f"rotation_rad = [{_numbers(vector_of(rig.rotation))}]"]
-    return "\n".join([*lines, f"translation_m = [{_numbers(rig.translation_m)}]", ""])
+    way = {"rotation_rad": vector_of(rig.rotation).tolist(), "translation_m": rig.translation_m.tolist()}
+    return "\n".join([*lines, "[relative]", *_toml_lines(way), ""])
 
 
 def camera_text(camera: Camera, covariance: FloatArray, *, name: str, source: str) -> str:
     """The TOML file of one camera with the covariance of its intrinsics (9, 9), which `read_camera` reads."""
-    lines = [f"name = {_quoted(name)}", f"source = {_quoted(source)}", *_covariance_lines(INTRINSICS, covariance), ""]
+    lines = [*_toml_lines({"name": name, "source": source}), *_covariance_lines(INTRINSICS, covariance), ""]
     return "\n".join([*lines, *_camera_lines("camera", camera), ""])
+
+
+def _toml_lines(table: Mapping[str, Any]) -> list[str]:
+    """Lines of keys that are not None: texts and numbers of JSON are TOML's."""
+    return [f"{key} = {json.dumps(one, ensure_ascii=False)}" for key, one in table.items() if one is not None]
 
 
 def _covariance_lines(names: Sequence[str], covariance: FloatArray) -> list[str]:
     """Of a TOML file, with the names of rows and columns as a remark."""
-    rows = [f"  [{_numbers(row)}]," for row in covariance]
+    rows = [f"  {row}," for row in covariance.tolist()]
     return [f"# rows and columns: {', '.join(names)}", "covariance = [", *rows, "]"]
 
 
 def _camera_lines(table: str, camera: Camera) -> list[str]:
-    numbers = [f"{key} = {float(getattr(camera, key))!r}" for key in INTRINSICS]
-    numbers += [f"lens = {camera.lens.toml()}"] if isinstance(camera.lens, CahvModel) else []
-    return [f"[{table}]", f"width_px = {camera.width_px}", f"height_px = {camera.height_px}", *numbers]
+    numbers = {key: float(getattr(camera, key)) for key in INTRINSICS}
+    lens = [f"lens = {camera.lens.toml()}"] if isinstance(camera.lens, CahvModel) else []
+    size = {"width_px": camera.width_px, "height_px": camera.height_px}
+    return [f"[{table}]", *_toml_lines(size | numbers), *lens]
 
 
-def _numbers(values: Sequence[float] | Any) -> str:
-    return ", ".join(repr(float(value)) for value in values)
-
-
-def _quoted(words: str) -> str:
-    return '"' + words.replace("\\", "\\\\").replace('"', '\\"') + '"'
-
-
-def check_rig_of(rig: StereoRig, width_px: int, height_px: int, name: str) -> None:
-    """Raise DataError where a picture cannot be of a rig's camera."""
-    if (width_px, height_px) == rig.left.size == rig.right.size:
-        return
-    size = " x ".join(map(str, rig.left.size))
-    turned = "; it seems to be turned" if (height_px, width_px) == rig.left.size else "; is it another rig's?"
-    raise DataError(f"{name}: {width_px} x {height_px} px, and {rig.name} takes pictures of {size}{turned}")
+def check_pictures(rig: StereoRig, pictures: Sequence[Picture]) -> None:
+    """Raise DataError where a picture cannot be of a rig's camera, or shows nothing."""
+    for picture in pictures:
+        if not picture.size == rig.left.size == rig.right.size:
+            given, needed = (" x ".join(map(str, size)) for size in (picture.size, rig.left.size))
+            turned = "it seems to be turned" if picture.size[::-1] == rig.left.size else "is it another rig's?"
+            raise DataError(f"{picture.source.name}: {given} px, and {rig.name} takes pictures of {needed}; {turned}")
+        picture.check()
 
 
 def read_pose(source: str | InputFile) -> Pose:

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray, robust_scatter
 from lunarsci.errors import DataError
-from lunarsci.images.pictures import open_cv
+from lunarsci.images.pictures import cv2
 from lunarsci.images.stones import SMALLEST_M, Image, StonePair
 
 TABLE = "rock_network.npz"
@@ -28,14 +28,13 @@ by this ratio: it was taught with these."""
 DILATIONS, SEEN_PX, STEP_PX = (1, 1, 2, 3, 1, 1), 14, 2
 """Of the layers' windows, what they see about a place, and between places that are scored [px]: as it was taught."""
 KNEE = 3.0
-"""Score at which `RockNetwork.odds` bends; assumed."""
+"""Score at which `RockNetwork.odds` bends: these are fitted with it (`tests/benchmarks/rock_scenes.py`)."""
 STRIP = 64
 """Rows of scores that are reckoned together."""
 
 
 def blurred(values: Image, sigma: float) -> Image:
     """Under a Gaussian; under three squares of its variance where it is wide. (h, w)"""
-    cv2 = open_cv()
     if sigma < 4:
         return np.asarray(cv2.GaussianBlur(values, (0, 0), sigma), dtype=np.float32)
     side = round(math.sqrt(4 * sigma**2 + 1)) | 1
@@ -100,7 +99,7 @@ def rock_candidates(scene: StonePair, largest_m: float, network: RockNetwork | N
     for width, images in levels(scene):
         part = looked_at(scene, width, images.shape[1:], largest_m)
         scored.append((width, images, scores(network, images, part)))
-    grown = [open_cv().dilate(score, np.ones((3, 3), np.uint8)) for _, _, score in scored]
+    grown = [cv2.dilate(score, np.ones((3, 3), np.uint8)) for _, _, score in scored]
     for k, (width, images, score) in enumerate(scored):
         y, x = np.nonzero((score == grown[k]) & (score > -5.0))
         at = STEP_PX * np.column_stack([x, y]).astype(np.float64)
@@ -121,7 +120,7 @@ def rock_candidates(scene: StonePair, largest_m: float, network: RockNetwork | N
 
 def looked_at(scene: StonePair, width: float, shape: tuple[int, ...], largest_m: float) -> BoolArray:
     """Where a level's rocks are of the sizes that are looked for. (y, x)"""
-    cv2, size = open_cv(), shape[::-1]
+    size = shape[::-1]
     ground = cv2.resize(scene.ground, size, interpolation=cv2.INTER_LINEAR)
     part = cv2.resize(scene.searched.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
     across = width * scene.baseline_m / np.maximum(ground, 1.0)
@@ -133,7 +132,7 @@ def levels(scene: StonePair) -> Iterator[tuple[float, Image]]:
 
     (7, y, x): the last is for measures.
     """
-    cv2, left = open_cv(), scene.left
+    left = scene.left
     top = float(np.percentile(left, 90))
 
     def logs(light: Image) -> Image:
@@ -158,7 +157,6 @@ def levels(scene: StonePair) -> Iterator[tuple[float, Image]]:
 
 def _channels(images: Image, width: float) -> Image:
     """What the network sees of above, light, grain, oddness and the shadows' way (6, y, x), less what is about."""
-    cv2 = open_cv()
     above, light, grain, odd, *way = images
     higher, brighter, coarser = (i - blurred(i, 1.5 * WIDTH_PX) for i in (above * (10 / width), light, grain))
     across, down = (cv2.Sobel(light, cv2.CV_32F, *order) / 4 for order in ((1, 0), (0, 1)))
@@ -187,7 +185,7 @@ def _shadow_ways(scene: StonePair) -> list[Image]:
     way = scene.focal_px * ends[:, :2] / ends[:, 2:] + scene.center_px - pixels
     way /= np.linalg.norm(way, axis=1, keepdims=True) + 1e-9
     size = scene.ground.shape[::-1]
-    return [open_cv().resize(w.reshape(u.shape).astype(np.float32), size) for w in way.T]
+    return [cv2.resize(w.reshape(u.shape).astype(np.float32), size) for w in way.T]
 
 
 def scores(network: RockNetwork, images: Image, part: BoolArray) -> Image:
@@ -242,7 +240,7 @@ def _raised(above: Image, at: FloatArray, score: Image) -> tuple[FloatArray, Flo
     """Disparity of places (n, 2) of a level over the median of eight about them, that over the smooth ground's, (n,)
     each, and the scatter of the first where scores are finite. [px]
     """
-    cv2, smooth, turns = open_cv(), blurred(above, 0.25 * WIDTH_PX), np.arange(8) * math.pi / 4
+    smooth, turns = blurred(above, 0.25 * WIDTH_PX), np.arange(8) * math.pi / 4
     about = np.vstack([[0.0, 0.0], WIDTH_PX * np.column_stack([0.9 * np.cos(turns), 0.7 * np.sin(turns)])])
     y, x = np.nonzero(np.isfinite(score))
     ground = np.column_stack([x, y])[:: max(len(x) // 2000, 1)].astype(np.float64) * STEP_PX

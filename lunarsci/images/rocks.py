@@ -18,10 +18,11 @@ from lunarsci.arrays import BoolArray, FloatArray, robust_fit, robust_scatter
 from lunarsci.errors import DataError
 from lunarsci.images.camera import Pose
 from lunarsci.images.matching import DARK, StereoMatches
-from lunarsci.images.pictures import open_cv
+from lunarsci.images.pictures import cv2
 from lunarsci.images.rock_network import WIDTH_PX, RockCandidates, blurred, embedded_network, rock_candidates
 from lunarsci.images.stones import FLATNESS, Image, StonePair, put_stone, spots
 from lunarsci.result import Progress
+from lunarsci.sun import upward
 
 RANGES_M = (0.0, 2.5, 3.5, 5.0, 7.0)
 """Ends of the ranges that completeness is told by. [m]"""
@@ -186,13 +187,7 @@ def _scene(
     lens = frame.focal_px, frame.center_px, frame.baseline_m
     scene = StonePair(left, right, ground, above, searched, *lens, turn[:, 2], turn[:, 2])
     sun_deg = sun_deg or _likeliest_sun(scene, turn)
-    return scene._replace(sun=turn @ _direction(*sun_deg)), sun_deg
-
-
-def _direction(azimuth_deg: float, elevation_deg: float) -> FloatArray:
-    """Unit vector of an azimuth, from x towards y, and an elevation. (3,)"""
-    turn, rise = math.radians(azimuth_deg), math.radians(elevation_deg)
-    return np.array([math.cos(rise) * math.cos(turn), math.cos(rise) * math.sin(turn), math.sin(rise)])
+    return scene._replace(sun=turn @ upward(*sun_deg)), sun_deg
 
 
 def _likeliest_sun(scene: StonePair, turn: FloatArray) -> tuple[float, float]:
@@ -201,7 +196,6 @@ def _likeliest_sun(scene: StonePair, turn: FloatArray) -> tuple[float, float]:
     Light is that of Lommel and Seeliger; compared are logarithms less their means about, by their correlation.
     `turn` turns a direction of the world into the frame.
     """
-    cv2 = open_cv()
     disparity, small = scene.ground + scene.above, 0.125
     d, light, part = (
         cv2.resize(blurred(a, 4.0), None, fx=small, fy=small, interpolation=cv2.INTER_LINEAR)
@@ -222,7 +216,7 @@ def _likeliest_sun(scene: StonePair, turn: FloatArray) -> tuple[float, float]:
     seen, best, detected = about(light / np.percentile(light, 90)), -2.0, (0.0, 30.0)
     for azimuth in range(0, 360, 15):
         for rise in (15, 30, 45, 60):
-            mu0 = np.maximum(normal @ (turn @ _direction(azimuth, rise)), 0.0)
+            mu0 = np.maximum(normal @ (turn @ upward(azimuth, rise)), 0.0)
             mu = np.maximum((normal * view).sum(-1), 0.02)
             alike = float(np.corrcoef(about(mu0 / (mu0 + mu)), seen)[0, 1])
             if alike > best:
@@ -256,7 +250,7 @@ def _parallax(ground: Image, left: Image, right: Image) -> Image:
     Each is that of the least sum of squares under a Gaussian, a mean by how sharp its minima are: in the dark and on
     what is plain the surroundings decide.
     """
-    cv2, top = open_cv(), 0.06 * np.percentile(left, 90)
+    top = 0.06 * np.percentile(left, 90)
     left, right = (p / (blurred(p, 12.0) + top) for p in (left, right))
     quarter = [cv2.resize(p, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA) for p in (left, right, ground)]
     coarse, sharp = _least_squares(quarter[0], quarter[1], quarter[2] / 4, np.arange(-2.0, 6.1, 0.5), 1.5)
@@ -268,7 +262,6 @@ def _parallax(ground: Image, left: Image, right: Image) -> Image:
 
 def _least_squares(left: Image, right: Image, base: Image, steps: FloatArray, sigma: float) -> tuple[Image, Image]:
     """Disparity over a base (h, w) at the least sum of squares, and the curvature there, of even steps [px]."""
-    cv2 = open_cv()
     v, u = np.mgrid[: left.shape[0], : left.shape[1]].astype(np.float32)
     sums = np.empty((len(steps), *left.shape), dtype=np.float32)
     for layer, step in zip(sums, steps, strict=True):

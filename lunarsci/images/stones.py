@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray
-from lunarsci.images.pictures import open_cv
+from lunarsci.images.pictures import cv2
 
 Image = npt.NDArray[np.float32]
 SMALLEST_M = 0.03
@@ -164,7 +164,6 @@ def put_stone(
 
     `spot` (4,) is a row of `_spots`, `noise` that of the light.
     """
-    cv2 = open_cv()
     u, v, diameter, height = spot
     foot, disparity = scene.feet(spot[None])
     foot = foot[0]

@@ -191,7 +191,7 @@ def ties(count: int = 2, name: str = "stop") -> "Figure":
     off = 0.3 * random.standard_normal(far.shape)
     weights = (random.uniform(0.2, 1.0, len(u)),)
     fitted = Adjusted(
-        poses=poses, joint=covariance, rigs=(heights().rig,) * count, delta=np.zeros((1, 24)), rig_of=(0,) * count,
+        poses=poses, joint=covariance, rigs=(heights().rig,) * count, rig_of=(0,) * count,
         inflation=(1.0,), residual_px=(off,), weights=weights,
     )  # fmt: skip
     shown = Localised(

@@ -152,7 +152,7 @@ def model_of(depths: np.ndarray, shift_px: float, sigma_px: float) -> ElevationM
     matches = StereoMatches(
         rectified=frame, left=blank, right=blank, disparity=disparity, sigma_px=blank + sigma_px,
         window_px=blank + 7.0, reason=blank.astype(np.uint8),
-        first=disparity, row_offset_px=0.0,
+        row_offset_px=0.0,
     )  # fmt: skip
     rig = dataclasses.replace(small_rig(), covariance=np.zeros((len(PARAMETERS), len(PARAMETERS))))
     return grid_of(matches, rig, ABOVE, name="waves", spacing_m=0.01, farthest_m=20.0)

@@ -447,7 +447,7 @@ def test_views_of_the_same_size_have_no_gaps() -> None:
     blank, random = np.zeros(shape), np.random.default_rng(2)
     matches = StereoMatches(
         rectified=frame, left=100 + random.normal(0, 5, shape), right=blank, disparity=blank + 8.0,
-        sigma_px=blank + 0.1, window_px=blank + 7.0, reason=blank.astype(np.uint8), first=blank, row_offset_px=0.0,
+        sigma_px=blank + 0.1, window_px=blank + 7.0, reason=blank.astype(np.uint8), row_offset_px=0.0,
     )  # fmt: skip
     station = Station(name="a", matches=matches, rig=RIG, pose=STEPPED[0], covariance=EXACTLY)
     turned = Pose(rotation=STEPPED[0].rotation @ rotation_of([0.0, 0.0, 0.3]), center_m=STEPPED[0].center_m)

@@ -20,7 +20,8 @@ from lunarsci.guide.info import info
 from lunarsci.guide.template import template
 from lunarsci.images.camera import INTRINSICS, PARAMETERS, Camera, Sensor, StereoRig, covariance_of, rotation_of
 from lunarsci.images.jobs.cameras import CameraSheet, cameras
-from lunarsci.images.rig_files import check_rig_of, read_pose, read_rig, rig_names, rig_text
+from lunarsci.images.pictures import Picture
+from lunarsci.images.rig_files import check_pictures, read_pose, read_rig, rig_names, rig_text
 from lunarsci.io.inputs import InputFile
 
 MATRIX = np.array([[700.0, 0.0, 410.0], [0.0, 702.0, 305.0], [0.0, 0.0, 1.0]])
@@ -282,7 +283,8 @@ def test_own_rigs_have_their_published_views_and_say_what_is_assumed(name: str) 
     known = read_rig(name)
     views = {"yutu2-pancam": (19.7, 14.5), "yutu2-navcam": (46.6, 46.6), "yutu2-hazcam": (120.0, 120.0)}
     assert known.left.field_of_view_deg() == pytest.approx(views[name], abs=0.1)
-    assert {"baseline_m", "sigma", "distortion"} <= set(known.assumed)
+    assert {"read_noise_e", "sigma", "distortion"} <= set(known.assumed)
+    assert ("baseline_m" in known.assumed) is (name != "yutu2-pancam"), "the one that is published"
     assert known.sensor == Sensor(bits=10, full_well_e=25000.0, read_noise_e=15.0, mtf_at_nyquist=0.33)
 
 
@@ -336,11 +338,16 @@ def test_unknown_rigs_and_pictures_of_others_are_refused() -> None:
     with pytest.raises(DataError, match="no rig of that name"):
         read_rig("yutu3")
     navcam, pancam = read_rig("yutu2-navcam"), read_rig("yutu2-pancam")
-    check_rig_of(navcam, 1024, 1024, "a.png")
+
+    def taken(width: int, height: int) -> list[Picture]:
+        light = np.random.default_rng(1).uniform(0, 255, (height, width))
+        return [Picture(source=InputFile("a.png", b""), values=light, bits=8)]
+
+    check_pictures(navcam, taken(1024, 1024))
     with pytest.raises(DataError, match="another rig's"):
-        check_rig_of(navcam, 1176, 864, "a.png")
+        check_pictures(navcam, taken(1176, 864))
     with pytest.raises(DataError, match="turned"):
-        check_rig_of(pancam, 864, 1176, "a.png")
+        check_pictures(pancam, taken(864, 1176))
 
 
 def test_what_opencv_writes_of_boards_in_mm_is_a_rig_without_the_size_of_its_pictures(tmp_path: Path) -> None:

@@ -44,7 +44,7 @@ def plane(*bumps: tuple[float, float, float, float]) -> StereoMatches:
     noise = [p + rng.standard_normal(p.shape) for p in (left, right)]
     return StereoMatches(
         rectified=frame, left=noise[0], right=noise[1], disparity=seen, sigma_px=0 * seen + 0.05,
-        window_px=0 * seen + 7.0, first=seen,
+        window_px=0 * seen + 7.0,
         reason=np.isnan(seen).astype(np.uint8), row_offset_px=0.0,
     )  # fmt: skip
 

@@ -168,7 +168,6 @@ def test_what_places_share_does_not_average_and_sinkage_is_what_was_before_the_r
         mean_m=0.010,
         mean_random_m=0.006,
         ground_scatter_m=None,
-        shams=0,
     )
     model: Any = SimpleNamespace(summary=dict, height_m_sigma=np.ones(1), synthetic=True)
     found = TrackSinkage(

@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -22,19 +22,14 @@ from lunarsci.images.calibration import (
     of_moments,
     pictures_matching,
 )
-from lunarsci.images.camera import INTRINSICS, StereoRig, is_swapped, vector_of
+from lunarsci.images.camera import COARSE_PX, INTRINSICS, UNSTATED, StereoRig, is_swapped, vector_of
 from lunarsci.images.jobs.requests import CalibrateCamerasRequest
-from lunarsci.images.labels import COARSE_PX
 from lunarsci.images.pictures import Picture, read_picture
 from lunarsci.images.rig_files import camera_text, rig_text
 from lunarsci.io.inputs import InputFile
 from lunarsci.options import request_of
 from lunarsci.ranges import refuse
-from lunarsci.result import Doubt, Result, job
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
+from lunarsci.result import Doubt, Figures, Result, job
 
 SOURCES = [
     "Brown (1971), Photogramm. Eng. 37, 855: lens distortion",
@@ -44,11 +39,9 @@ SOURCES = [
     "Bell & McCaffrey (2002), Surv. Methodol. 28, 169: errors from clusters",
 ]
 SIDES = ("left", "right")
-UNDETERMINED = 0.01
-"""Errors as shares of the focal length, the picture's width and the baseline, from which these are not determined:
-assumed."""
-SEEN_SHARE = 0.6
-"""Share of the picture that boards must have covered, else it is said; assumed."""
+UNDETERMINED = UNSTATED[0]
+"""Errors as shares of the focal length, the picture's width and the baseline, from which these are not determined: a
+file without errors says as much, as `UNSTATED`."""
 SWAPPED = (
     "left and right are swapped, or both cameras are upside down: the camera of `right` stands left of the other one; "
     "give its pictures first, and the others as `right`"
@@ -112,7 +105,8 @@ class CalibratedCameras(Result):
         cameras = [
             {"width_px": camera.width_px, "height_px": camera.height_px}
             | self._numbers(k)
-            | {"residual_rms_px": _rms(fit.residuals[k]), "seen_share": _seen_share(fit, k)}
+            | {"residual_rms_px": float(np.sqrt(np.mean(fit.residuals[k][:, 3:] ** 2)))}
+            | {"seen_share": _seen_share(fit, k)}
             | {"corner_uncertainty_px": float(np.nanmax(self._uncertainty(k)))}
             for k, camera in enumerate(fit.cameras)
         ]
@@ -176,10 +170,8 @@ class CalibratedCameras(Result):
         fit = self.calibration
         notes = [f"errors are those of the residuals, {max(fit.between_pictures, 1):.2g} times, as pictures differ"]
         for k, camera in enumerate(fit.cameras):
-            if (share := _seen_share(fit, k)) < SEEN_SHARE:
-                notes.append(
-                    f"the board was seen in {share:.0%} of the {camera.name}'s picture; beyond is extrapolated"
-                )
+            share = _seen_share(fit, k)
+            notes.append(f"the board was seen in {share:.0%} of the {camera.name}'s picture; beyond is extrapolated")
             hint = "see the board there, or find fewer terms (--distortion)"
             edge = self._uncertainty(k)
             if np.isnan(edge).any():
@@ -201,23 +193,19 @@ class CalibratedCameras(Result):
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """One a picture: points found, and what is left of them."""
-        left: dict[str, Any] = {}
-        for index, rows in enumerate(self.calibration.residuals):
-            for k, names in enumerate(self.used):
-                if (rows[:, 0] == k).any():
-                    left[names[index]] = rows[rows[:, 0] == k, 3:]
-        return [
-            {
-                "file": name,
-                "points": count or 0,
-                "used": len(left[name]) if name in left else 0,
-                "rms_px": float(np.sqrt(np.mean(left[name] ** 2))) if name in left else None,
-                "largest_px": float(np.abs(left[name]).max()) if name in left else None,
-            }
-            for name, count in self.points.items()
-        ]
+        left = {
+            names[index]: rows[rows[:, 0] == k, 3:]
+            for index, rows in enumerate(self.calibration.residuals) for k, names in enumerate(self.used)
+        }  # fmt: skip
+        table = []
+        for name, count in self.points.items():
+            off = np.abs(left.get(name, np.empty((0, 2))))
+            rms, largest = (float(np.sqrt(np.mean(off**2))), float(off.max())) if len(off) else (None, None)
+            row = {"file": name, "points": count or 0, "used": len(off), "rms_px": rms, "largest_px": largest}
+            table.append(row)
+        return table
 
-    def figures(self) -> "Iterator[Figure]":
+    def figures(self) -> Figures:
         from lunarsci.images.figures import calibration_page
 
         yield calibration_page(self.calibration, self.request.name)
@@ -259,10 +247,6 @@ def _with_scale(fit: CameraCalibration, square_error: float) -> CameraCalibratio
     if len(fit.cameras) > 1:
         covariance[-3:, -3:] += square_error**2 * np.outer(fit.translation_m, fit.translation_m)
     return dataclasses.replace(fit, covariance=covariance)
-
-
-def _rms(rows: Any) -> float:
-    return float(np.sqrt(np.mean(rows[:, 3:] ** 2)))
 
 
 def _seen_share(fit: CameraCalibration, index: int) -> float:

@@ -2,9 +2,9 @@
 
 import math
 import tomllib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -26,11 +26,7 @@ from lunarsci.images.rig_files import (
 from lunarsci.io.documents import toml_document
 from lunarsci.io.inputs import InputFile, Source, read_input, text
 from lunarsci.options import request_of
-from lunarsci.result import Result, job
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
+from lunarsci.result import Figures, Result, job
 
 SOURCES = [
     "Brown (1971), Photogramm. Eng. 37, 855: lens distortion",
@@ -112,7 +108,7 @@ class CameraSheet(Result):
         """One a rig and range."""
         return [{"name": rig.name} | row for rig in self.rigs for row in self.ranges(rig)]
 
-    def figures(self) -> "Iterator[Figure]":
+    def figures(self) -> Figures:
         from lunarsci.images.figures import range_page
 
         if not self.rigs:

@@ -1,10 +1,10 @@
 """Heights with errors from a pair of pictures."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -17,16 +17,12 @@ from lunarsci.images.elevation import ElevationModel, elevation_bytes, elevation
 from lunarsci.images.gridding import cloud_of, cloud_ply, grid_of, levelled
 from lunarsci.images.jobs.requests import CamerasRequest, DemRequest, LocateRequest
 from lunarsci.images.matching import StereoMatches, match
-from lunarsci.images.pictures import read_picture
+from lunarsci.images.pictures import Picture, read_picture
 from lunarsci.images.reliability import MARIA, Reliability, check_sides, reliability, ties_of
-from lunarsci.images.rig_files import check_rig_of, read_pose, read_rig
+from lunarsci.images.rig_files import check_pictures, read_pose, read_rig
 from lunarsci.io.inputs import Source, read_input
 from lunarsci.options import request_of
-from lunarsci.result import Doubt, Progress, Result, job
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
+from lunarsci.result import Doubt, Figures, Progress, Result, job
 
 SOURCES = [
     "Brown (1971), Photogramm. Eng. 37, 855: lens distortion",
@@ -108,7 +104,7 @@ class StereoTerrain(Result):
     def layers(self) -> dict[str, Any]:
         return self.model.layers()
 
-    def figures(self) -> "Iterator[Figure]":
+    def figures(self) -> Figures:
         from lunarsci.images.figures import dem_figure
 
         yield dem_figure(self.model, self.matches, self.pose)
@@ -168,9 +164,7 @@ def dem(
     pictures = [read_picture(file) for file in files]
     names = request.rig.split(",") if request.rig.count(",") == 1 else [request.rig]
     rig = read_rig(*names, picture_px=pictures[0].size)
-    for picture in pictures:
-        check_rig_of(rig, *picture.size, picture.source.name)
-        picture.check()
+    check_pictures(rig, pictures)
     pose = None if request.pose is None else read_pose(request.pose)
     nearest = request.nearest or nearest_ground_m(rig, pose, rig.height_m)
     farthest = request.farthest or farthest_ground_m(rig, request.spacing)
@@ -194,7 +188,7 @@ def dem(
         spacing_m=request.spacing,
         farthest_m=farthest,
         covariance=unknown,
-        synthetic=any(b"SYNTHETIC" in file.data[:4000] for file in files) or "SYNTHETIC" in rig.name,
+        synthetic=synthetic(rig, *pictures),
     )
     inputs = {file.name: file.sha256 for file in files}
     inputs |= {} if request.pose is None else {request.pose: read_input(request.pose).sha256}
@@ -208,6 +202,11 @@ def dem(
         reliability=known,
         inputs=inputs,
     )
+
+
+def synthetic(rig: StereoRig, *pictures: Picture) -> bool:
+    """Whether a rig or a picture of it says that it is made up."""
+    return "SYNTHETIC" in rig.name or any(b"SYNTHETIC" in picture.source.data[:4000] for picture in pictures)
 
 
 def nearest_ground_m(rig: StereoRig, pose: Pose | None, mast_m: float) -> float:

@@ -1,10 +1,10 @@
 """Where a rover's stations were, from their pictures."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -13,23 +13,19 @@ from lunarsci.arrays import FloatArray
 from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.images.adjustment import leaning
 from lunarsci.images.camera import Pose, StereoRig
-from lunarsci.images.jobs.dem import nearest_ground_m
+from lunarsci.images.jobs.dem import nearest_ground_m, synthetic
 from lunarsci.images.jobs.requests import LocateRequest
 from lunarsci.images.localisation import ODD_SIGMAS, Localised, Station, localise
 from lunarsci.images.matching import match
 from lunarsci.images.pictures import Picture, read_picture
-from lunarsci.images.rig_files import check_rig_of, pose_text, read_pose, read_rig
+from lunarsci.images.rig_files import check_pictures, pose_text, read_pose, read_rig
 from lunarsci.io.documents import toml_document
 from lunarsci.io.inputs import InputFile, read_input, text
 from lunarsci.io.tables import csv_bytes
 from lunarsci.memory import AsFiles
 from lunarsci.options import request_of
 from lunarsci.ranges import refuse
-from lunarsci.result import Doubt, Progress, Result, job
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
+from lunarsci.result import Doubt, Figures, Progress, Result, job
 
 SOURCES = [
     "Lowe (2004), Int. J. Comput. Vis. 60, 91, 10.1023/B:VISI.0000029664.99615.94: features",
@@ -82,7 +78,7 @@ class LocatedStations(Result):
         return {
             "positions_of": "rover" if self.localised.stations[0].rover is not None else "left camera",
             "stations": self.rows(),
-            "pairs": [self._pair(report._asdict()) for report in self.localised.reports],
+            "pairs": self.pairs(),
             "covariance": self.localised.covariance.tolist(),
             "covariance_of": [
                 f"{station.name} {name}"
@@ -93,17 +89,19 @@ class LocatedStations(Result):
             "notes": self.notes(),
         }
 
-    def _pair(self, report: dict[str, Any]) -> dict[str, Any]:
+    def pairs(self) -> list[dict[str, Any]]:
+        """What came of each two stations that were compared."""
         names = [station.name for station in self.localised.stations]
-        named = {key: names[report[key]] for key in ("first", "second", "near")}
-        number = next(
-            (k for k, p in enumerate(self.localised.pairs) if {p.near, p.far} == {report["first"], report["second"]}),
-            None,
-        )
-        inflation = None if number is None else self.localised.adjusted.inflation[number]
-        distances = dict(zip(("ground_near_m", "ground_far_m"), report.pop("ground_m"), strict=True))
-        clean = {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in (report | distances).items()}
-        return clean | named | {"error_inflation": inflation}
+        tied = zip(self.localised.pairs, self.localised.adjusted.inflation, strict=True)
+        inflation = {frozenset((pair.near, pair.far)): factor for pair, factor in tied}
+        table = []
+        for report in self.localised.reports:
+            row = report._asdict()
+            row |= dict(zip(("ground_near_m", "ground_far_m"), row.pop("ground_m"), strict=True))
+            row |= {key: names[row[key]] for key in ("first", "second", "near")}
+            row["error_inflation"] = inflation.get(frozenset((report.first, report.second)))
+            table.append({k: None if isinstance(v, float) and math.isnan(v) else v for k, v in row.items()})
+        return table
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """One a station, in the columns that `twin states`, `twin update` and `images merge` read of positions."""
@@ -157,7 +155,7 @@ class LocatedStations(Result):
             ]
         )
 
-    def figures(self) -> "Iterator[Figure]":
+    def figures(self) -> Figures:
         from lunarsci.images.figures import ties_figure
 
         if not self.localised.pairs:
@@ -264,7 +262,7 @@ def read_stations(
     for number, (name, content, rig) in enumerate(zip(names, read, rigs, strict=True)):
         progress(number)
         matched.append(_station(name, content, rig, errors, matched))
-    made_up = any(content.synthetic or "SYNTHETIC" in rig.name for content, rig in zip(read, rigs, strict=True))
+    made_up = any(synthetic(rig, one.left, one.right) for one, rig in zip(read, rigs, strict=True))
     return StationsRead(matched, inputs, made_up)
 
 
@@ -278,15 +276,8 @@ def _names(whole: Sequence[Path]) -> list[str]:
 
 
 class _Read(NamedTuple):
-    """What a station's folder holds.
+    """What a station's folder holds; `pose`, `time_s` and `rover` as `Station` has them.
 
-    Attributes
-    ----------
-    left, right : its pictures.
-    pose : of the left camera, by dead reckoning.
-    time_s : of the pictures; None where it is not known. [s]
-    rover : the rover's frame in that of the left camera; None where it is not known.
-    synthetic : whether it says that it is made up.
     stand : name of the place where the rover did not move, or how it stood there; '' where neither is known.
     """
 
@@ -295,7 +286,6 @@ class _Read(NamedTuple):
     pose: Pose
     time_s: float | None
     rover: Pose | None
-    synthetic: bool
     stand: str
 
 
@@ -310,15 +300,12 @@ def _read(folder: Path, rig: StereoRig, mast: tuple[float, ...] | None, inputs: 
     inputs[pose_file.name] = pose_file.sha256
     pose = read_pose(pose_file)
     pictures = [read_picture(file) for file in files]
-    for picture in pictures:
-        check_rig_of(rig, *picture.size, picture.source.name)
-        picture.check()
+    check_pictures(rig, pictures)
     time_s, attitude, stand = _more_of_pose(pose_file)
     if mast is not None and attitude is None:
         raise DataError(f"{pose_file.name}: `mast` needs how the rover stood there; add {', '.join(ATTITUDE)}")
     rover = None if mast is None or attitude is None else _rover(rig, pose, attitude, mast)
-    synthetic = any(b"SYNTHETIC" in file.data[:4000] for file in files)
-    return _Read(pictures[0], pictures[1], pose, time_s, rover, synthetic, stand)
+    return _Read(pictures[0], pictures[1], pose, time_s, rover, stand)
 
 
 def _station(name: str, content: _Read, rig: StereoRig, errors: DeadReckoning, before: Sequence[Station]) -> Station:

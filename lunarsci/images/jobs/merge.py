@@ -1,9 +1,9 @@
 """Elevation models of several stations, or their pairs of pictures, as one map, and where they disagree."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -31,11 +31,7 @@ from lunarsci.io.inputs import Ground, InputFile, read_input
 from lunarsci.io.tables import numbers_of, read_csv_table
 from lunarsci.options import request_of
 from lunarsci.ranges import refuse
-from lunarsci.result import Doubt, Result, job
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
+from lunarsci.result import Doubt, Figures, Result, job
 
 SOURCES = [
     "Aitken (1936), Proc. R. Soc. Edinb. 55, 42, 10.1017/S0370164600014346: generalised least squares",
@@ -101,11 +97,10 @@ class MergedStations(Result):
         }
         if self.mosaic is None or self.located is None:
             return record
-        poses = self.located.to_dict()
         end = 6 * len(self.names)
         return record | {
             "steps": [asdict(step) for step in self.mosaic.steps],
-            "pairs": poses["pairs"],
+            "pairs": self.located.pairs(),
             "poses": [pose.to_dict() for pose in self.mosaic.localised.poses],
             "covariance": self.mosaic.localised.adjusted.joint[:end, :end].tolist(),
             "notes": self.notes(),
@@ -151,7 +146,7 @@ class MergedStations(Result):
     def layers(self) -> dict[str, Any]:
         return self.merged.model.layers()
 
-    def figures(self) -> "Iterator[Figure]":
+    def figures(self) -> Figures:
         from lunarsci.images.figures import merge_page
 
         yield merge_page(self.merged)
@@ -162,10 +157,7 @@ class MergedStations(Result):
     def files(self) -> dict[str, Callable[[], bytes]]:
         """The map as the formats that have errors: ending to what makes the content."""
         model = self.merged.model
-        return {
-            ".npz": lambda: elevation_bytes(model),
-            ".tif": lambda: elevation_geotiff(model),
-        }
+        return {".npz": lambda: elevation_bytes(model), ".tif": lambda: elevation_geotiff(model)}
 
 
 @job

@@ -2,9 +2,9 @@
 
 import io
 import zipfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -19,11 +19,7 @@ from lunarsci.images.render import ROCK_COLUMNS, Landscape, RenderedPair, landsc
 from lunarsci.images.rig_files import pose_text, read_rig, rig_text
 from lunarsci.io.inputs import Ground, read_input
 from lunarsci.options import request_of
-from lunarsci.result import Progress, Result, job
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
+from lunarsci.result import Figures, Progress, Result, job
 
 SOURCES = [
     "Brown (1971), Photogramm. Eng. 37, 855: lens distortion",
@@ -83,7 +79,7 @@ class SyntheticPair(Result):
         """One a rock, as `ROCK_COLUMNS` says."""
         return [dict(zip(ROCK_COLUMNS, map(float, row), strict=True)) for row in self.landscape.rocks]
 
-    def figures(self) -> "Iterator[Figure]":
+    def figures(self) -> Figures:
         figure = page(3.9)
         headline(figure, f"{file_label(self.landscape.name)}, {self.rig.name}", synthetic=True)
         for axis, name in zip(figure.subplots(1, 2), ("left", "right"), strict=True):

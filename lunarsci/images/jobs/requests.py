@@ -9,9 +9,17 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from lunarsci.errors import RequestError
-from lunarsci.images import LengthUnit
+from lunarsci.images import Law, LengthUnit
 from lunarsci.options import check_intervals
 from lunarsci.ranges import refuse
+
+
+def _floats(given: str) -> tuple[float, ...]:
+    """Numbers with commas between them; one that is NaN where they are none."""
+    try:
+        return tuple(float(part) for part in given.split(",") if part.strip())
+    except ValueError:
+        return (math.nan,)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,13 +134,14 @@ class LocateRequest:
         """`mast` as numbers."""
         if self.mast is None:
             return None
-        try:
-            place = tuple(map(float, self.mast.split(",")))
-        except ValueError:
-            place = ()
+        place = _floats(self.mast)
         if len(place) != 3 or not all(map(math.isfinite, place)):
             raise RequestError(f"`mast` is '{self.mast}'; give x,y,z in m, ahead, left and up from the rover's origin")
         return place
+
+
+RECKONED = LocateRequest()
+"""Errors of dead reckoning that `images merge` assumes, too."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -156,17 +165,14 @@ class MergeRequest:
     spacing: float | None = None
     rig: str | None = None
     farthest: float | None = None
-    drift: float = 0.03
-    heading_error: float = 1.0
-    tilt_error: float = 0.3
+    drift: float = RECKONED.drift
+    heading_error: float = RECKONED.heading_error
+    tilt_error: float = RECKONED.tilt_error
     mast_error: float = 0.2
 
     def __post_init__(self) -> None:
         check_intervals(self, {"(0, 1000)": "spacing", "(0, 10000)": "farthest", "(0, 1]": "drift"})
         check_intervals(self, {"(0, 45]": "heading_error", "(0, 20]": "tilt_error", "[0, 20]": "mast_error"})
-
-
-Law = Literal["lommel-seeliger", "hapke"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -255,20 +261,14 @@ class RocksRequest:
         """`sun` as numbers. Raises RequestError."""
         if self.sun is None:
             return None
-        try:
-            azimuth, elevation = map(float, self.sun.split(","))
-        except ValueError:
-            azimuth = elevation = math.nan
-        if not (math.isfinite(azimuth) and 0 < elevation <= 90):
+        sun = _floats(self.sun)
+        if len(sun) != 2 or not (math.isfinite(sun[0]) and 0 < sun[1] <= 90):
             raise RequestError(f"`sun` is '{self.sun}'; give azimuth,elevation in deg, the elevation above 0 to 90")
-        return azimuth, elevation
+        return sun[0], sun[1]
 
     def diameters(self) -> tuple[float, ...]:
         """`sizes` as numbers. Raises RequestError."""
-        try:
-            sizes = tuple(float(part) for part in self.sizes.split(",") if part.strip())
-        except ValueError:
-            sizes = (0.0,)
+        sizes = _floats(self.sizes)
         if not all(0.01 <= size <= self.largest for size in sizes):
             raise RequestError(f"`sizes` '{self.sizes}': give numbers from 0.01 m to `largest`, commas between them")
         return sizes

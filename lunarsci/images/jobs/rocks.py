@@ -2,9 +2,9 @@
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from lunarsci.images.jobs.dem import StereoTerrain, dem
 from lunarsci.images.jobs.requests import RocksRequest
@@ -12,11 +12,7 @@ from lunarsci.images.rocks import RockSurvey, find_rocks
 from lunarsci.io.documents import geojson_feature
 from lunarsci.io.inputs import Source
 from lunarsci.options import request_of
-from lunarsci.result import Doubt, MadeFrom, Progress, Result, job
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
+from lunarsci.result import Doubt, Figures, MadeFrom, Progress, Result, job
 
 SOURCES = [
     "Golombek & Rapp (1997), J. Geophys. Res. 102, 4117, 10.1029/96JE03319: heights of rocks",
@@ -81,7 +77,7 @@ class RockList(Result):
             for k, rock in enumerate(self.survey.rocks, start=1)
         ]
 
-    def figures(self) -> "Iterator[Figure]":
+    def figures(self) -> Figures:
         from lunarsci.images.figures import rocks_page
 
         yield rocks_page(self.ground.model, self.survey)

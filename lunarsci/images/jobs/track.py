@@ -1,8 +1,8 @@
 """How deep a track is, and the sinkage that follows."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -14,12 +14,8 @@ from lunarsci.io.inputs import Ground, read_input
 from lunarsci.io.tables import csv_bytes
 from lunarsci.options import request_of
 from lunarsci.provenance import sha256
-from lunarsci.result import Doubt, Result, job
+from lunarsci.result import Doubt, Figures, Result, job
 from lunarsci.rovers import read_rover
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 SOURCES = [
     "Ding et al. (2024), Nat. Commun. 15, 2098, 10.1038/s41467-024-46233-8: sinkage from the depth of tracks",
@@ -109,11 +105,7 @@ class TrackSinkage(Result):
         depths, remaining_share = self.depths, 1.0 - self.rebound
         blank = np.where(depths.determined, 1.0, np.nan)
         sigma = np.hypot(depths.rut_m_random, depths.rut_m_systematic) * blank
-        columns = {
-            "distance_m": depths.distance_m,
-            "x_m": depths.x_m,
-            "y_m": depths.y_m,
-            "rut_m": depths.rut_m,
+        columns = {key: getattr(depths, key) for key in ("distance_m", "x_m", "y_m", "rut_m")} | {
             "rut_m_sigma": sigma,
             "rut_m_random": depths.rut_m_random * blank,
             "rut_m_systematic": depths.rut_m_systematic * blank,
@@ -126,7 +118,7 @@ class TrackSinkage(Result):
     def as_input(self, role: str) -> dict[str, Callable[[], bytes]]:
         return {"track.csv": lambda: csv_bytes(self.to_pandas())} if role == "track" else {}
 
-    def figures(self) -> "Iterator[Figure]":
+    def figures(self) -> Figures:
         from lunarsci.images.figures import track_page
 
         yield track_page(self.change.model if self.change else self.model, self.line, self.width_m, self.depths)
