@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from lunarsci.cli.shared.emit import Report, field_of
 from typer import BadParameter
@@ -435,7 +436,9 @@ def test_a_wrong_column_is_wrong_usage_and_the_nearest_is_named(run, rock: Path)
 
 def test_blocks_of_another_computation_are_wrong_usage(run, rock: Path) -> None:
     target, partial = rock.parent / "out.csv", rock.parent / "out.csv.partial" / "bands"
-    SavedBlocks(partial, {"options": "others"}, 20, 16).close(remove=False)
+    before = SavedBlocks(partial, {"options": "others"}, 20, 16)
+    before.save(range(16), {"a": np.zeros(16)})
+    before.close(remove=False)
     many = [rock.parent / f"{k}.csv" for k in range(20)]
     for name in many:
         name.write_bytes(rock.read_bytes())

@@ -166,7 +166,7 @@ def test_a_start_is_offered_as_it_is_typed(run, at: Path) -> None:
     plan = ("twin", "plan", "site.asc", "--target", "1.5,1.5", "-q")
     done = run(*plan, "--start=-0.9,-0.9,30")
     offered = done.err[-1].partition("nearest with room being ")[2].partition(";")[0]
-    assert done.code == 1 and offered.count(",") == 2 and offered.endswith(",30")
+    assert done.code == 1 and offered.count(",") == 1
     assert run(*plan, f"--start={offered}").code == 0
 
 
