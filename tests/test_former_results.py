@@ -47,6 +47,7 @@ def test_every_command_has_an_answer_in_the_table() -> None:
 def test_every_job_of_the_package_is_tried() -> None:
     used = {former.job_of(former.COMMANDS[name]) for name in former.notebook_names()}
     used |= {"calibrate_cameras", "dem", "locate", "merge", "render", "rocks"}  # of pictures: `tests/images` tries them
+    used |= {"map_cube"}  # `tests/spectra/cubes` tries it
     assert all(callable(getattr(lunarsci, job)) for job in lunarsci.JOBS["images"])
     assert {job for jobs in lunarsci.JOBS.values() for job in jobs} <= used
 

@@ -272,7 +272,7 @@ def label_values(content: str) -> dict[tuple[str, str], str]:
     values: dict[tuple[str, str], str] = {}
     groups = [""]
     for end, name, value in _ENTRY.findall(re.sub(r"/\*[^\n]{0,200}?\*/", " ", content)):
-        key, cell = name.upper(), value.strip("\"'")
+        key, cell = name.upper(), value.strip().strip("\"'")
         if end or key in ("END_GROUP", "END_OBJECT"):
             groups = groups[:-1] or [""]
         elif key in ("GROUP", "OBJECT"):

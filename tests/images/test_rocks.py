@@ -21,7 +21,7 @@ from lunarsci.images.rocks import RockSurvey, _false_rate, _logistic, _parallax,
 from lunarsci.images.stones import put_stone, spots
 from lunarsci.io.inputs import read_input
 from lunarsci.result import Doubt
-from lunarsci.twin.ground.hazards import missed_rocks
+from lunarsci.twin.ground.missed_rocks import missed_rocks
 
 FOCAL_PX, BASE_M, SIDE = 600.0, 0.27, 512
 POSE = Pose.looking([0.0, 0.0, 1.5], 0.0, 30.0)

@@ -37,8 +37,8 @@ LONGEST_LAG_M = 1.0
 SAMPLED = 200_000
 """Pairs of nodes that are looked at for each distance."""
 FILLED_M = 0.5 * LONGEST_LAG_M
-"""Nodes without a height get one as far as this from those that have: over a gap of twice that the relief is known.
-[m]"""
+"""Nodes without a height get one as far as this from those that have: over a gap of twice that the relief is known;
+assumed. [m]"""
 ALIKE_M = 0.1
 """Width over which sizes of errors are averaged, so that the ground does not change its kind from node to node;
 assumed. [m]"""

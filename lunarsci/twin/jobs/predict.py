@@ -16,8 +16,9 @@ from lunarsci.result import Doubt, MadeFrom, Progress, Result, job
 from lunarsci.twin.assimilation.segments import planned_places
 from lunarsci.twin.comparison.forecast import FILE, forecast_document, forecast_of
 from lunarsci.twin.ground.finer_ground import Unresolved, with_unresolved
-from lunarsci.twin.ground.hazards import missed_rocks, read_mobility, rover_footprint
+from lunarsci.twin.ground.hazards import read_mobility, rover_footprint
 from lunarsci.twin.ground.illumination import parse_sun
+from lunarsci.twin.ground.missed_rocks import missed_rocks
 from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, Soils, read_drive_inputs
 from lunarsci.twin.jobs.requests import PoweredRequest, PredictRequest
 from lunarsci.twin.judgement import tables as judged

@@ -186,7 +186,7 @@ def test_the_same_bytes_however_it_is_computed_and_after_a_stop(envi: Any, tmp_p
     assert (tmp_path / "parts.nc").read_bytes() == wanted
 
     def stop(done: int, total: int) -> None:
-        if done:
+        if done > job.ROWS:  # of which the first block is saved
             raise KeyboardInterrupt
 
     target = tmp_path / "stopped.nc"

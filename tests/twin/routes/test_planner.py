@@ -224,7 +224,7 @@ def test_the_start_that_an_error_names_is_one(start: tuple[float, float, float])
     """Outside the map, at its edge, and at a wall."""
     surface = seen(wall((0.0, 6.0)) if start[0] < 0 else wall())
     target = (9.0, 0.0) if start[0] < 0 else (0.0, 0.0)
-    with pytest.raises(ParameterError, match="another start, the nearest with room being") as caught:
+    with pytest.raises(ParameterError, match="another `start`, the nearest with room being") as caught:
         plan_path(surface, YUTU2, start, target)
     x, y = (float(part) for part in str(caught.value).split("room being ")[1].split(" ")[0].rstrip(",;").split(","))
     assert plan_path(surface, YUTU2, (x, y, start[2]), target).plan.length_m > 1.0
