@@ -627,7 +627,13 @@ def _status(rock: Rock, matches: Sequence[CraterMatch], other: float, decided: b
     spread, favoured = max(factors.values()) - min(factors.values()), max(factors, key=lambda name: factors[name])
     if spread < DECIDES:
         return f"{remain}; composition hardly decides, the prior does (ln Bayes factors differ by {spread:.1f})"
-    strongly = f"the composition strongly favours {favoured} (ln Bayes factors of the craters differ by {spread:.1f})"
+    if factors[favoured] > 0:
+        strongly = (
+            f"the composition strongly favours {favoured} (ln Bayes factors of the craters differ by {spread:.1f})"
+        )
+    else:
+        against = min(factors, key=lambda name: factors[name])
+        strongly = f"the composition speaks strongly against {against} (ln Bayes factor {factors[against]:.1f})"
     untested = "; do not rely on it: the method was not tested on rocks like this one, so its shares may be wrong"
     return f"{remain}; {strongly}{untested if rock.untested else ''}"
 

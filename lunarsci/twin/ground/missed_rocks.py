@@ -1,4 +1,8 @@
-"""Rocks that a search may have missed along a way."""
+"""Rocks that a search may have missed along a way.
+
+A search states which share of rocks it finds, by size and range. With how many it found follows how many there are, and
+so how probable it is that one that stops a wheel lies on a way and was not found.
+"""
 
 import math
 from collections.abc import Mapping

@@ -211,6 +211,15 @@ def test_composition_from_shares_that_are_not_to_be_quoted_says_so() -> None:
     assert not untested.decided
 
 
+def test_a_crater_of_unknown_composition_is_not_favoured_where_others_are_disfavoured() -> None:
+    """Pure clinopyroxene is not what Finsen threw; of Zhinyu and others nobody knows."""
+    rock = Rock(
+        "rock", Composition({"olivine": (0.01, 0.02), "orthopyroxene": (0.01, 0.02), "clinopyroxene": (0.98, 0.02)})
+    )
+    status = matched(rock).status
+    assert "speaks strongly against Finsen" in status and "favours" not in status
+
+
 def test_the_papers_conclusion_hangs_on_what_is_assumed_of_re_excavation() -> None:
     def first(craters: Any = None, **prior: object) -> str:
         return max(matched(craters=craters, **prior).craters, key=lambda item: item.posterior).crater.name
