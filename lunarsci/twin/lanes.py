@@ -60,7 +60,7 @@ OUTCOMES = (
     "hole in the terrain: no height below a wheel",
     f"overturned: the chassis tilted by more than {STEEPEST_DEG:g} deg",
     "diverged: loads or energy that no drive has; the time step does not hold this soil at this speed; give a shorter "
-    "time_step_s",
+    "--time-step",
     "did not settle: no static equilibrium at the start pose",
     "sank: a wheel is buried to its axle",
     f"cliff: the ground below or before a wheel is steeper than {STEEPEST_DEG:g} deg",

@@ -324,7 +324,7 @@ def _steps(schedule: Schedule, members: int, time_step_s: float, sample_m: float
     check_range("time_step_s", time_step_s, f"(0, {LONGEST_STEP_S}]")
     check_range("sample_m", sample_m, f"(0, {LONGEST_SAMPLE_M}]")
     if schedule.duration_s / time_step_s > MOST_STEPS:
-        raise ParameterError(f"the drive takes over {MOST_STEPS:g} steps; give a longer time_step_s")
+        raise ParameterError(f"the drive takes over {MOST_STEPS:g} steps; give a longer `time_step`")
     stops = max(1, math.ceil(schedule.duration_s * schedule.plan.speed_m_s / sample_m - 1e-9))
     if members * stops > MOST_SAMPLES:
         raise ParameterError(f"{members} members with {stops} samples do not fit into memory; give a longer sample_m")

@@ -273,7 +273,7 @@ class DriveSetup:
         schedule = make_schedule(plan, self.rover)
         steps = max(1, math.ceil(schedule.duration_s / time_step_s))
         if steps > MOST_STEPS:
-            raise ParameterError(f"the plan driven before takes over {MOST_STEPS:g} steps; give a longer time_step_s")
+            raise ParameterError(f"the plan driven before takes over {MOST_STEPS:g} steps; give a longer `time_step`")
         times = np.linspace(0.0, schedule.duration_s, steps + 1)
         earlier = dataclasses.replace(self, schedule=schedule, times_s=times, every=steps)
         return dataclasses.replace(self, earlier=earlier)
