@@ -649,7 +649,7 @@ def ground_readers() -> dict[str, Reader]:
         "layer": Reader(layer, ["spoilt.asc"], [found[".asc"]]),
         "keep-outs": Reader(of_file("twin.ground.hazards:read_keep_outs"), ["spoilt.geojson"],
                             [f'{{"type": "FeatureCollection", "features": [{FEATURE}]}}'.encode()]),
-        "search for rocks": Reader(of_file("twin.ground.hazards:missed_rocks", WAY, 0.6, 0.1), ["spoilt.geojson"],
+        "search for rocks": Reader(of_file("twin.ground.missed_rocks:missed_rocks", WAY, 0.6, 0.1), ["spoilt.geojson"],
                                    [SEARCHED.encode()]),
     }  # fmt: skip
 
