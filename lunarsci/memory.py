@@ -133,6 +133,8 @@ def _in_a_folder(name: str, contents: Mapping[str, Callable[[], bytes]]) -> str:
 
 def as_named(text: str) -> str:
     """A text without the folders in which files of what is in memory lie."""
+    if not _room.cache_info().currsize:  # none was needed so far
+        return text
     return re.sub(re.escape(f"{_room().name}{os.sep}") + r"\w+[/\\]([\w-]+[/\\])?", "", text)
 
 

@@ -9,7 +9,6 @@ from textwrap import fill
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
-from lunarsci.constants import GRAVITIES
 from lunarsci.errors import RequestError
 from lunarsci.memory import as_named, on_disk
 from lunarsci.names import one_of
@@ -122,16 +121,14 @@ def as_meant(name: str, value: Any, hint: Any) -> Any:
         return (value,) if isinstance(value, str) else value
     plain = {str, int, float} & {hint, *get_args(hint)}
     if isinstance(value, str) and plain == {float}:
-        return _number(name, value)
+        return _number(value)
     if isinstance(value, bool) or not isinstance(value, int | float):
         return value
     return repr(value) if plain == {str} else float(value) if float in plain else value
 
 
-def _number(name: str, text: str) -> Any:
-    """The number that a text is, or names as a gravity; the text where it is none."""
-    if name == "gravity" and (named := GRAVITIES.get(text.strip().lower())):
-        return named.value
+def _number(text: str) -> Any:
+    """The number that a text is; the text where it is none."""
     try:
         return float(text)
     except ValueError:

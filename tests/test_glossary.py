@@ -1,6 +1,7 @@
 """The glossary names what is there, with the units that the names end in."""
 
 import re
+import subprocess
 import sys
 import tomllib
 from pathlib import Path
@@ -106,6 +107,12 @@ def test_a_key_is_described_as_the_key_of_its_own_command(command: str, monkeypa
         shown = [row for name, row in rows.items() if re.fullmatch(re.escape(key).replace(r"\*", r"\w+"), name)]
         assert shown and all(words in row for row in shown), (key, shown)
     assert [row for row in rows.values() if re.search(r"\bNone\b|\bNaN\b|\([nm], ", row)] == []
+
+
+def test_the_program_of_make_keys_prints_those_of_a_command() -> None:
+    program = ROOT / "docs/_extension/pages_of_commands.py"
+    done = subprocess.run([sys.executable, program, "twin", "predict"], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("## `lunarsci twin predict`\n") and "| `verdict` |" in done.stdout
 
 
 def test_the_name_alone_does_not_say_whose_key_it_is(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,8 +4,11 @@ import copy
 import importlib
 import inspect
 import io
+import os
 import pickle
 import re
+import subprocess
+import sys
 import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -291,3 +294,13 @@ def test_the_doctor_tries_extras(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "pip install 'lunarsci[cubes]'" in doctor._extra("cubes").trouble
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     assert any(one.startswith("h5py") for one in extras["cubes"])
+
+
+def test_without_anything_in_memory_nothing_lies_on_the_disk(tmp_path: Path) -> None:
+    """Neither the import of the jobs nor a text of theirs makes a folder for it."""
+    code = "import lunarsci, os; lunarsci.bands, lunarsci.predict; print(os.listdir(os.environ['TMPDIR']))"
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"TMPDIR": str(tmp_path)}, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stdout == "[]\n"

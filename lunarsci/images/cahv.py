@@ -148,7 +148,7 @@ class CahvModel:
 
     @classmethod
     def of_table(cls, table: Mapping[str, Any], size: tuple[int, int]) -> "CahvModel":
-        """The model of a table that `toml` made. Raises KeyError and ValueError."""
+        """The model of a table that `to_dict` made. Raises KeyError and ValueError."""
         vectors = {
             letter: np.array(table[letter], dtype=float) for letter in "CAHVORE" if letter in table or letter in "CAHV"
         }
@@ -156,10 +156,9 @@ class CahvModel:
             raise ValueError("a lens has C, A, H and V, O with R, and E, of 3 numbers each, and linearity")
         return cls(vectors=vectors, width_px=size[0], height_px=size[1], linearity=float(table.get("linearity", 1.0)))
 
-    def toml(self) -> str:
-        """Its numbers as a table within a line, to the last digit."""
-        parts = [f"{letter} = {part.tolist()}" for letter, part in self.vectors.items()]
-        return f"{{ {', '.join([*parts, f'linearity = {self.linearity!r}'])} }}"
+    def to_dict(self) -> dict[str, Any]:
+        """Its numbers as `of_table` reads them."""
+        return {**self.vectors, "linearity": self.linearity}
 
     @property
     def title(self) -> str:

@@ -8,7 +8,6 @@ from its centre. Also VINS, ORB-SLAM 3 and instant-ngp.
 """
 
 import io
-import json
 import re
 import tomllib
 import zipfile
@@ -45,6 +44,7 @@ from lunarsci.images.labels import fit_cahv, read_label, rig_of_labels
 from lunarsci.images.pictures import Picture, cv2
 from lunarsci.io.documents import json_document, toml_document, xml_root, yaml_document
 from lunarsci.io.inputs import InputFile, beginning, read_input, text
+from lunarsci.memory import toml_text
 from lunarsci.ranges import refuse
 
 COLMAP: Mapping[str, tuple[str, ...]] = {
@@ -690,23 +690,18 @@ def _assumed(document: Mapping[str, Any]) -> list[str]:
 def rig_text(rig: StereoRig) -> str:
     """The TOML file of a rig, which `read_rig` reads back to the last digit."""
     given = {key: getattr(rig, key) for key in ("name", "source", "assumed", "nearest_m", "mast_height_m")}
-    lines = _toml_lines(given | {name: getattr(rig.sensor, name) for name in SENSOR})
+    lines = toml_text(given | {name: getattr(rig.sensor, name) for name in SENSOR}).splitlines()
     lines += [*_covariance_lines(PARAMETERS, rig.covariance), ""]
     for side, camera in (("left", rig.left), ("right", rig.right)):
         lines += [*_camera_lines(side, camera), ""]
-    way = {"rotation_rad": vector_of(rig.rotation).tolist(), "translation_m": rig.translation_m.tolist()}
-    return "\n".join([*lines, "[relative]", *_toml_lines(way), ""])
+    way = {"rotation_rad": vector_of(rig.rotation), "translation_m": rig.translation_m}
+    return "\n".join([*lines, "[relative]", toml_text(way)])
 
 
 def camera_text(camera: Camera, covariance: FloatArray, *, name: str, source: str) -> str:
     """The TOML file of one camera with the covariance of its intrinsics (9, 9), which `read_camera` reads."""
-    lines = [*_toml_lines({"name": name, "source": source}), *_covariance_lines(INTRINSICS, covariance), ""]
+    lines = [*toml_text({"name": name, "source": source}).splitlines(), *_covariance_lines(INTRINSICS, covariance), ""]
     return "\n".join([*lines, *_camera_lines("camera", camera), ""])
-
-
-def _toml_lines(table: Mapping[str, Any]) -> list[str]:
-    """Lines of keys that are not None: texts and numbers of JSON are TOML's."""
-    return [f"{key} = {json.dumps(one, ensure_ascii=False)}" for key, one in table.items() if one is not None]
 
 
 def _covariance_lines(names: Sequence[str], covariance: FloatArray) -> list[str]:
@@ -716,10 +711,10 @@ def _covariance_lines(names: Sequence[str], covariance: FloatArray) -> list[str]
 
 
 def _camera_lines(table: str, camera: Camera) -> list[str]:
-    numbers = {key: float(getattr(camera, key)) for key in INTRINSICS}
-    lens = [f"lens = {camera.lens.toml()}"] if isinstance(camera.lens, CahvModel) else []
-    size = {"width_px": camera.width_px, "height_px": camera.height_px}
-    return [f"[{table}]", *_toml_lines(size | numbers), *lens]
+    numbers: dict[str, Any] = {"width_px": camera.width_px, "height_px": camera.height_px}
+    numbers |= {key: float(getattr(camera, key)) for key in INTRINSICS}
+    lens = camera.lens.to_dict() if isinstance(camera.lens, CahvModel) else None
+    return [f"[{table}]", *toml_text(numbers | {"lens": lens}).splitlines()]
 
 
 def check_pictures(rig: StereoRig, pictures: Sequence[Picture]) -> None:

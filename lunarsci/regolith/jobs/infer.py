@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
-from lunarsci.constants import gravity_of
 from lunarsci.io.inputs import Source, read_input
 from lunarsci.options import request_of
 from lunarsci.regolith.columns import written_for
@@ -164,6 +163,6 @@ def _posterior(
         progress=progress,
     )
     whose = written_for(given.called or given.rover, given.wheel)
-    verdict = replace(posterior.verdict, wheel=whose, gravity_m_s2=gravity_of(asked.gravity))
+    verdict = replace(posterior.verdict, wheel=whose, gravity_m_s2=float(asked.gravity))
     posterior = replace(posterior, disputed=disputed(posterior, scores), verdict=verdict)
     return posterior, scores, {source.name: source.sha256} if source else {}

@@ -14,14 +14,11 @@ from lunarsci.minerals import MINERALS
 from lunarsci.options import request_of
 from lunarsci.result import NOT_TO_BE_TRUSTED, Doubt, MadeFrom, Progress, Result, job
 from lunarsci.spectra.abundance.kinds import TABLE as KINDS_TABLE
-from lunarsci.spectra.abundance.learned import TABLE as NETWORKS
 from lunarsci.spectra.abundance.nbsr import TABLE as NBSR_TABLE
 from lunarsci.spectra.abundance.nbsr import PyroxeneAbundances, nbsr_abundances
 from lunarsci.spectra.abundance.result import Abundance
-from lunarsci.spectra.abundance.shares import TABLE as CALIBRATION
 from lunarsci.spectra.collection import Picked
 from lunarsci.spectra.jobs.requests import FitRequest, ModelRequest
-from lunarsci.spectra.jobs.unmix import LEARNED, presence
 from lunarsci.spectra.jobs.verdicts import with_causes
 from lunarsci.spectra.mgm import PERCENT_OF, MgmContinuum
 from lunarsci.spectra.mgm.assemblages import TABLES as BAND_TABLES
@@ -103,8 +100,13 @@ class MgmFits(Result):
         )
 
     def _tables_and_sources(self) -> tuple[list[str], list[str]]:
-        shares, learned = ((NETWORKS, CALIBRATION), (LEARNED,)) if self.choices else ((), ())
-        return [*BAND_TABLES, NBSR_TABLE, KINDS_TABLE, *shares], [MGM, NBSR, *learned]
+        tables, sources = [*BAND_TABLES, NBSR_TABLE, KINDS_TABLE], [MGM, NBSR]
+        if self.choices:
+            from lunarsci.spectra.abundance import learned, shares
+            from lunarsci.spectra.jobs.unmix import LEARNED
+
+            tables, sources = [*tables, learned.TABLE, shares.TABLE], [*sources, LEARNED]
+        return tables, sources
 
     @property
     def doubt(self) -> Doubt:
@@ -263,6 +265,8 @@ def _from_file(spectra: Sequence[Spectrum], request: ModelRequest, progress: Pro
 
 def _chosen(spectra: Sequence[Spectrum], request: ModelRequest, progress: Progress | None) -> dict[str, Any]:
     """Compare all assemblages, then fit each spectrum with its own."""
+    from lunarsci.spectra.jobs.unmix import presence
+
     stated = parse_compositions(request.composition) if request.composition else None
     result = choose(spectra, continuum=request.continuum, compositions=stated, progress=progress)
     choices = with_causes(spectra, {index: item for index, item in enumerate(result) if isinstance(item, Choice)})
