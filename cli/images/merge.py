@@ -65,7 +65,7 @@ def merge(output: Output, dems: Elevations, request: MergeRequest, cloud: Cloud 
     the mast. A pair that cannot be tied stays where telemetry puts it, with that error.
 
     -o FILE.npz or .tif writes the map with its errors. --plot shows where models disagree. Exit code 3: they disagree
-    beyond their errors.
+    beyond their errors, or pictures place a station where telemetry's errors do not allow it.
     """
     from lunarsci.images.jobs.merge import merge
 

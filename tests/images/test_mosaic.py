@@ -1,7 +1,9 @@
 """Pairs as one map: a turned mast beside the ground that was rendered, and modes beside what follows by hand."""
 
 import json
+import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -105,6 +107,19 @@ def test_a_pair_that_cannot_be_tied_stays_where_telemetry_puts_it(
     told = found.mosaic.localised.stations[3].pose
     np.testing.assert_allclose(found.mosaic.localised.poses[3].rotation, told.rotation, atol=1e-9)
     assert "Heights of 4 stations are one grid now" in answered(found)
+
+
+def test_telemetry_that_pictures_overrule_is_a_doubt(found: MergedStations) -> None:
+    """Pictures of one place, whose telemetry says 1.5 m: both ways and the standard errors stand in the doubt."""
+    assert found.located is not None
+    localised = found.located.localised
+    there = np.add(localised.poses[0].center_m, [1.5, 0, 0])
+    moved = Pose(rotation=localised.stations[1].pose.rotation, center_m=there)
+    stations = (localised.stations[0], replace(localised.stations[1], pose=moved), *localised.stations[2:])
+    said = replace(found, located=replace(found.located, localised=replace(localised, stations=stations)))
+    told = r"left is 1.50 m from middle by telemetry and 0.0\d m by the pictures, \d+ standard errors"
+    assert re.search(told, said.untrusted)
+    assert "away is" not in said.untrusted, "what pictures do not tie they cannot overrule"
 
 
 def test_the_command_writes_map_and_cloud(pairs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -69,10 +69,24 @@ class LocatedStations(Result):
             if not self.localised.tied[number]:
                 why = "; ".join(r.failure for r in self.localised.reports if r.second == number and r.failure)
                 return Doubt.of(f"{station.name} is where dead reckoning puts it: {why}")
-            if number and self.localised.off_sigmas(number) > ODD_SIGMAS:
-                off = self.localised.off_sigmas(number)
-                return Doubt.of(f"{station.name} is {off:.0f} sigmas from its dead reckoning: one of them is wrong")
-        return Doubt()
+        return Doubt.of(*self.overruled())
+
+    def overruled(self) -> list[str]:
+        """Steps between stations that pictures place elsewhere than telemetry by more than its errors allow."""
+        reasons, stations = [], self.localised.stations
+        for number in range(1, len(stations)):
+            off = self.localised.off_sigmas(number)
+            if self.localised.tied[number] and off > ODD_SIGMAS:
+                ways = [
+                    float(np.linalg.norm(one[number].center_m - one[number - 1].center_m))
+                    for one in ([station.pose for station in stations], self.localised.poses)
+                ]
+                reasons.append(
+                    f"{stations[number].name} is {ways[0]:.2f} m from {stations[number - 1].name} by telemetry and "
+                    f"{ways[1]:.2f} m by the pictures, {off:.0f} standard errors of telemetry apart: a pose.toml, its "
+                    "stated errors or a picture is wrong"
+                )
+        return reasons
 
     def to_dict(self) -> dict[str, Any]:
         return {

@@ -69,9 +69,10 @@ class MergedStations(Result):
 
     @property
     def doubt(self) -> Doubt:
-        if self.mosaic is not None:
+        if self.mosaic is not None and self.located is not None:
             steps = self.mosaic.steps
-            return Doubt.of(*(self._cause(s) for s in steps if s.chance * len(steps) < SIGNIFICANCE))
+            uneven = [self._cause(s) for s in steps if s.chance * len(steps) < SIGNIFICANCE]
+            return Doubt.of(*self.located.overruled(), *uneven)
         bad = [pair for pair in self.merged.overlaps if pair.rms_z > ODD or pair.odd_share > SHARE]
         if not bad:
             return Doubt()
