@@ -37,7 +37,9 @@ OPTIONS = {
     "sun_elevation": option(panel=LIGHT),
     "law": option("--scattering", panel=LIGHT),
 }
-Terrain = Annotated[str | None, typer.Argument(metavar="[TERRAIN]", help="Ground; level where it is left out.")]
+Terrain = Annotated[
+    str | None, typer.Argument(metavar="[TERRAIN]", help="Ground; where it is left out, level, 24 m wide about 0, 0.")
+]
 EXAMPLES = (
     "lunarsci images render --rig lunarsci-demo/rig.toml --rays 1 -o pair",
     "lunarsci images render --rig lunarsci-demo/rig.toml --rays 1 \\\n  --x 0.5 -o station-2",
@@ -49,7 +51,8 @@ def render(output: Output, request: RenderRequest, terrain: Terrain = None) -> R
     """SYNTHETIC pictures of a terrain by a stereo rig: hard shadows, blur, noise, vignetting.
 
     With -o DIR they go to left.png and right.png, with rig.toml and pose.toml, which `images dem` reads, and truth.npz:
-    where each pixel looks, whether the Sun reaches it and the other camera sees it.
+    where each pixel looks, whether the Sun reaches it and the other camera sees it. With one --seed the ground is the
+    same from every place.
     """
     from lunarsci.images.jobs.render import render
 

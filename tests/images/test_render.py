@@ -173,6 +173,20 @@ def test_the_command_writes_marked_pictures_and_their_truth(tmp_path: Path, caps
     assert main(["images", "render", "--sun-elevation", "-3"]) == 2
 
 
+def test_stations_on_level_ground_see_one_ground(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from lunarsci.images.jobs.render import render
+    from lunarsci.images.rig_files import rig_text
+
+    (tmp_path / "rig.toml").write_text(rig_text(RIG))
+    given = {"rig": str(tmp_path / "rig.toml"), "samples": 1, "spacing": 0.05}
+    here, there = (render(x=x, **given).landscape for x in (0.0, 0.5))
+    assert (here.x0_m, here.y0_m) == (there.x0_m, there.y0_m)
+    np.testing.assert_array_equal(here.height_m, there.height_m)
+    np.testing.assert_array_equal(here.rocks, there.rocks)
+    assert main(["images", "render", "--rig", given["rig"], "--x", "13"]) == 1
+    assert "beside the level ground, 24 m wide about 0, 0" in capsys.readouterr().err
+
+
 def test_a_track_lowers_the_ground_below_it_by_the_deepest_wheel(tmp_path: Path) -> None:
     table = tmp_path / "truth.csv"
     table.write_text(

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from lunarsci.arrays import FloatArray
+from lunarsci.errors import ParameterError
 from lunarsci.figure import file_label, headline, page
 from lunarsci.images import render as renderer
 from lunarsci.images.camera import Pose, StereoRig
@@ -27,8 +28,8 @@ SOURCES = [
     "Tevs, Ihrke & Seidel (2008), 10.1145/1342250.1342279: rays through height fields",
 ]
 FLAT_M, COARSE_M = 24.0, 0.25
-"""Side, assumed, and spacing of the level ground that is there where no terrain is given: it gets waves of up to four
-spacings. [m]"""
+"""Side, assumed, and spacing of the level ground about 0, 0 that is there where no terrain is given: it gets waves of
+up to four spacings. [m]"""
 TRUTH_STEP_M = 2.0**-16
 """To which places of the truth are rounded, 15 micrometres: its file is a third as large then. [m]"""
 
@@ -139,7 +140,8 @@ def render(
 ) -> SyntheticPair:
     """Two SYNTHETIC pictures of a terrain (.npz), or of level ground, with roughness, rocks, shadows and noise.
 
-    Raises DataError for a terrain that cannot be read, ParameterError where a camera cannot be.
+    The seed makes the same ground for every place of the camera. Raises DataError for a terrain that cannot be read,
+    ParameterError where a camera cannot be.
 
     Examples
     --------
@@ -149,7 +151,12 @@ def render(
     path = None if terrain is None else str(terrain)
     rig = read_rig(request.rig)
     count = round(FLAT_M / COARSE_M) + 1
-    level = (request.x - 0.5 * FLAT_M, request.y - 0.5 * FLAT_M, COARSE_M, np.zeros((count, count)))
+    level = (-0.5 * FLAT_M, -0.5 * FLAT_M, COARSE_M, np.zeros((count, count)))
+    if path is None and max(abs(request.x), abs(request.y)) > 0.5 * FLAT_M:
+        raise ParameterError(
+            f"the camera at {request.x:g}, {request.y:g} m is beside the level ground, {FLAT_M:g} m wide about 0, 0; "
+            "give a nearer place or a terrain"
+        )
     ground = landscape_on(
         level if path is None else _heights(path),
         name=path or "level ground",
