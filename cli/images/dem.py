@@ -22,6 +22,7 @@ FILES = "Files"
 OPTIONS = {
     "rig": option(metavar="RIG"),
     "pose": option(metavar="FILE", show_default="ground near the rover taken as level"),
+    "tilt_error": option(),
     "spacing": option(),
     "nearest": option(show_default="from rig and pose"),
     "farthest": option(show_default="where its error is three cells"),

@@ -108,7 +108,8 @@ def seen(station: Path, folder: Path, off: tuple[float, float] = (0.0, 0.0)) -> 
     place = truth["left_center_m"] + random.normal(0, off[0], 3)
     pose = folder / "pose.toml"
     pose.write_text(pose_text(Pose(rotation=truth["left_rotation"] @ turn, center_m=place)))
-    found = dem(station / "left.png", station / "right.png", rig=str(station.parent / "rig.toml"), pose=str(pose))
+    pictures, rig = (station / "left.png", station / "right.png"), str(station.parent / "rig.toml")
+    found = dem(*pictures, rig=rig, pose=str(pose), tilt_error=off[1])
     return Seen(f"{station.parent.name}/{station.name}", found, truth)
 
 

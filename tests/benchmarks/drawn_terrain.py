@@ -16,7 +16,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.ndimage import map_coordinates, uniform_filter
+from scipy.ndimage import correlate1d, map_coordinates, uniform_filter
 
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.terrain import Terrain, TerrainFile, build_terrain
@@ -112,6 +112,15 @@ def plan_of(seed: int) -> Plan:
     return Plan(name="two arcs", legs=tuple(Leg(2.5, float(k)) for k in turn), speed_m_s=0.05)
 
 
+def felt(heights: np.ndarray, width_m: float) -> np.ndarray:
+    """Means over a wheel's width about each node; the outermost nodes count by the part of them that it covers. [m]"""
+    half = 0.5 * width_m / SPACING_M
+    nodes = np.arange(-math.ceil(half), math.ceil(half) + 1)
+    shares = np.clip(half + 0.5 - np.abs(nodes), 0.0, 1.0)
+    shares /= shares.sum()
+    return correlate1d(correlate1d(heights, shares, axis=0, mode="nearest"), shares, axis=1, mode="nearest")
+
+
 def quantities(drive: Prediction) -> dict[str, np.ndarray]:
     """The end [m], and of each drive largest and median tilt [deg], slip [-] and sinkage [m]."""
     found = {"end_x_m": drive.endpoints_m[:, 0], "end_y_m": drive.endpoints_m[:, 1]}
@@ -124,8 +133,7 @@ def quantities(drive: Prediction) -> dict[str, np.ndarray]:
 def ranks(seed: int, members: int, sun_deg: float | None = None) -> dict[str, Any]:
     """Where the true drive lies among the predicted ones, by quantity, 0 to 1; and the model taken as exact."""
     one, rover, plan = case(seed, sun_deg), build_rover("yutu2"), plan_of(seed)
-    felt = round(rover.wheel.width_m / SPACING_M)
-    truth = dataclasses.replace(one.truth, height_m=uniform_filter(one.truth.height_m, felt, mode="nearest"))
+    truth = dataclasses.replace(one.truth, height_m=felt(one.truth.height_m, rover.wheel.width_m))
     soils = {"friction_angle_deg": np.full(members, 37.2)}
     drawn = one.model.likely(one.model.terrain, rover.wheel.width_m)
     drives = {

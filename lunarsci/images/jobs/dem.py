@@ -15,7 +15,7 @@ from lunarsci.images.adjustment import leaning
 from lunarsci.images.camera import Pose, StereoRig
 from lunarsci.images.elevation import ElevationModel, elevation_bytes, elevation_geotiff
 from lunarsci.images.gridding import cloud_of, cloud_ply, grid_of, levelled
-from lunarsci.images.jobs.requests import CamerasRequest, DemRequest, LocateRequest
+from lunarsci.images.jobs.requests import CamerasRequest, DemRequest
 from lunarsci.images.matching import StereoMatches, match
 from lunarsci.images.pictures import Picture, read_picture
 from lunarsci.images.reliability import MARIA, Reliability, check_sides, reliability, ties_of
@@ -32,7 +32,7 @@ SOURCES = [
 ]
 STATEMENTS = (
     "a height is the mean over its cell and over the matching window, which smooths edges of rocks and tracks",
-    "common errors are those of the rig's covariance; an error of the pose comes on top",
+    "common errors are those of the rig's covariance and of the pose's tilt",
 )
 HONEST = 3.0
 """Heights are gridded as far as the range's error is so many cells, at the disparity's error by which `images cameras`
@@ -131,7 +131,7 @@ class StereoTerrain(Result):
         if self.levelled:
             notes.append(
                 "no pose was given: the ground near the rover is taken as level, give or take slopes of lunar maria "
-                f"({math.degrees(MARIA):.0f}° along a line); --pose states the tilt and its error"
+                f"({math.degrees(MARIA):.0f}° along a line); --pose and --tilt-error state the tilt and its error"
             )
         notes += [f"rig read as: {note}" for note in self.rig.read_as]
         if self.rig.assumed:
@@ -171,7 +171,7 @@ def dem(
     ties = ties_of(*pictures)
     both = ", ".join(file.name for file in files)
     check_sides(rig, ties, both)
-    known = reliability(rig, ties, pose, LocateRequest().tilt_error)
+    known = reliability(rig, ties, pose, request.tilt_error)
     try:
         matches = match(pictures[0], pictures[1], rig, nearest_m=nearest, progress=progress)
     except DataError as error:
@@ -179,7 +179,7 @@ def dem(
             raise DataError(f"{both}: {'; '.join(doubts)}") from error
         raise
     place = pose or levelled(matches, rig.height_m)
-    unknown = None if pose else block_diag(leaning(MARIA, rig.height_m), rig.covariance)
+    leant = math.radians(request.tilt_error) if pose else MARIA
     model = grid_of(
         matches,
         rig,
@@ -187,7 +187,7 @@ def dem(
         name=files[0].stem,
         spacing_m=request.spacing,
         farthest_m=farthest,
-        covariance=unknown,
+        covariance=block_diag(leaning(leant, rig.height_m), rig.covariance),
         synthetic=synthetic(rig, *pictures),
     )
     inputs = {file.name: file.sha256 for file in files}

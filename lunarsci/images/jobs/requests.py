@@ -90,6 +90,7 @@ class DemRequest:
     ----------
     rig : The cameras: yutu2-pancam, yutu2-navcam, yutu2-hazcam, a TOML file, or the labels LEFT,RIGHT of the pictures.
     pose : Where the left camera was: TOML with position_m, heading_deg, down_deg, roll_deg.
+    tilt_error : Error of the pose's down_deg and roll_deg, in deg (assumed).
     spacing : Distance of the nodes, in m.
     nearest : Smallest distance along the axis that is matched, in m.
     farthest : Largest range that is gridded, in m.
@@ -97,12 +98,13 @@ class DemRequest:
 
     rig: str = "yutu2-navcam"
     pose: str | None = None
+    tilt_error: float = 0.3
     spacing: float = 0.02
     nearest: float | None = None
     farthest: float | None = None
 
     def __post_init__(self) -> None:
-        check_intervals(self, {"(0, 10000)": "spacing nearest farthest"})
+        check_intervals(self, {"(0, 10000)": "spacing nearest farthest", "[0, 20]": "tilt_error"})
         if self.nearest is not None and self.farthest is not None and self.nearest >= self.farthest:
             raise RequestError("`nearest` must be below `farthest`")
 
@@ -124,7 +126,7 @@ class LocateRequest:
     mast: str | None = None
     drift: float = 0.03
     heading_error: float = 1.0
-    tilt_error: float = 0.3
+    tilt_error: float = DemRequest().tilt_error
 
     def __post_init__(self) -> None:
         check_intervals(self, {"(0, 1]": "drift", "(0, 45]": "heading_error", "(0, 20]": "tilt_error"})

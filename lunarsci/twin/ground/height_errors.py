@@ -13,6 +13,7 @@ nodes share are a height and two tilts of the size that the model states.
 """
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -151,9 +152,9 @@ def likely_ground(
         )
         mean = np.where(gap.touched, _of_waves(waves), mean)
         level = np.where(gap.touched, len(sizes) + gap.level, level)
-        shape = np.hypot(_waves(white.shape, spacing_m), 0.5 / FILLED_M) ** (-relief.hurst - 1.0) * under_wheel
-        plain = np.fft.ifft2(shape * white).real
-        grain += [size / plain.std() * plain for size in gap.sizes]
+        grain += [
+            np.fft.ifft2(np.sqrt(power) * white).real for power in _gap_power(gap.sizes, spacing_m, relief, under_wheel)
+        ]
     common = _common_modes(_everywhere(np.nan_to_num(common_m), finite), finite)
     errors = HeightErrors(
         common=common,
@@ -183,38 +184,74 @@ class _Gaps(NamedTuple):
         return cls(touched, _level(mixed, sizes), sizes)
 
 
+def _gap_power(sizes: FloatArray, spacing: float, relief: Relief, under_wheel: FloatArray) -> Iterator[FloatArray]:
+    """Power, at each wave of the grain, of what heights in gaps are off by, for each size of that.
+
+    What the plane through the ground about a gap is off by is smooth, alike over half of `FILLED_M`; shorter waves are
+    those of the relief, as far as the size allows. [m2]
+    """
+    smooth = np.exp(-2.0 * (math.pi * 0.5 * FILLED_M * _waves(under_wheel.shape, spacing)) ** 2)
+    rough = fractal_power(under_wheel.shape, spacing, relief) * (1.0 - smooth) * under_wheel**2
+    smooth *= under_wheel**2 / (smooth * under_wheel**2).mean()
+    for size in sizes:
+        share = min(size**2 / rough.mean(), 1.0)
+        yield share * rough + max(size**2 - share * rough.mean(), 0.0) * smooth
+
+
 def _filled(height: FloatArray, spacing: float, sigma: FloatArray, relief: Relief) -> tuple[FloatArray, FloatArray]:
     """Heights with narrow gaps filled, and the errors of what was filled, NaN elsewhere. [m]
 
-    A height in a gap is the mean of those up to twice as far as the nearest one, by the inverse squares of their
-    distances (Shepard 1968, 10.1145/800186.810616). Its variance is that of the same heights, plus the relief over the
-    distance of the nearest one and the random error: a gap behind a rock is as uncertain as the rock is high.
+    A height in a gap is that of the plane through those up to twice as far as the nearest one, weighted by the inverse
+    squares of their distances (Shepard 1968, 10.1145/800186.810616). Its variance is that of the same heights about the
+    plane, plus the relief over the distance of the nearest one and the random error: a gap behind a rock is as
+    uncertain as the rock is high.
     """
-    from scipy.signal import oaconvolve
-
     finite = np.isfinite(height)
     away = _away(finite) * spacing
     middle = float(height[finite].mean())
-    values = np.where(finite, height - middle, 0.0)
+    layers = [finite.astype(float), np.where(finite, height - middle, 0.0)]
     filled, error = height.copy(), np.full(height.shape, np.nan)
     nearer, scales = 0.0, spacing * RATIO ** np.arange(math.ceil(math.log(FILLED_M / spacing, RATIO)) + 1)
     for scale in np.minimum(scales, FILLED_M):
         gap = (away > nearer) & (away <= scale)
         nearer = scale
-        if not gap.any():
-            continue
-        reach = math.ceil(2.0 * scale / spacing) + 1
-        y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-        squared = np.maximum(x * x + y * y, 1.0)
-        kernel = np.where(squared <= reach**2, 1.0 / squared, 0.0)
-        weight, first, second = (
-            oaconvolve(layer, kernel, mode="same")[gap] for layer in (finite.astype(float), values, values**2)
-        )
-        mean = first / weight
-        filled[gap] = mean + middle
-        spread = np.maximum(second / weight - mean**2, 0.0)
-        error[gap] = np.sqrt(spread + relief.at_one_m * away[gap] ** (2.0 * relief.hurst) + sigma[gap] ** 2)
+        if gap.any():
+            level, square = _plane_about(layers, gap, math.ceil(2.0 * scale / spacing) + 1, spacing, relief)
+            filled[gap] = level + middle
+            error[gap] = np.sqrt(square + relief.at_one_m * away[gap] ** (2.0 * relief.hurst) + sigma[gap] ** 2)
     return filled, error
+
+
+def _plane_about(
+    layers: Sequence[FloatArray], gap: BoolArray, reach: int, spacing: float, relief: Relief
+) -> tuple[FloatArray, FloatArray]:
+    """Heights at nodes of planes through what is known up to `reach` nodes away, and mean squares about them. [m], [m2]
+
+    `layers` are 1 where a height is known, else 0, and that height, else 0. The prior of the planes' slopes is that of
+    the relief over the reach. The ring of known heights has three times the area of the gap, and counts as three.
+    """
+    from scipy.signal import oaconvolve
+
+    y, x = spacing * np.mgrid[reach : -reach - 1 : -1, reach : -reach - 1 : -1]
+    squared = np.maximum((x * x + y * y) / spacing**2, 1.0)
+    kernel = np.where(squared <= reach**2, 1.0 / squared, 0.0)
+    one, height = layers
+
+    def mean(layer: FloatArray, by: FloatArray | float = 1.0) -> FloatArray:
+        return np.asarray(oaconvolve(layer, kernel * by, mode="same")[gap])
+
+    weight = mean(one)
+    sums = [mean(one, x), mean(one, y), mean(one, x * x), mean(one, x * y), mean(one, y * y)]
+    by_x, by_y, xx, xy, yy = (each / weight for each in sums)
+    right = np.stack([mean(height), mean(height, x), mean(height, y)], axis=-1) / weight[:, None]
+    level = np.maximum(mean(height * height) / weight - right[:, 0] ** 2, 0.0)
+    ridge = (level + FLAT_M2) / 3.0 / (relief.at_one_m * (reach * spacing) ** (2.0 * relief.hurst - 2.0))
+    ones = np.ones_like(weight)
+    normal = np.stack([ones, by_x, by_y, by_x, xx + ridge, xy, by_y, xy, yy + ridge], axis=-1).reshape(-1, 3, 3)
+    plane = np.linalg.solve(normal, right[..., None])[..., 0]
+    # With the ridge's own part taken back these are the squares about the plane.
+    square = level + right[:, 0] ** 2 - (plane * right).sum(axis=-1) - ridge * (plane[:, 1:] ** 2).sum(axis=-1)
+    return plane[:, 0], np.maximum(square, 0.0)
 
 
 def _level(sigma: FloatArray, sizes: FloatArray) -> FloatArray:

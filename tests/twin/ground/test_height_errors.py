@@ -194,6 +194,28 @@ def test_true_drives_lie_within_the_predicted_ones() -> None:
         assert drawn_terrain.share_within(found, name, 0.95) >= 0.74, name
 
 
+def test_a_gap_in_rough_ground_on_a_slope_is_on_that_slope_and_no_rougher_than_the_ground() -> None:
+    """Ground of a low exponent on a slope of 14 degrees, with gaps between rows of stones: gaps lie on the slope, and
+    steps of 8 cm drawn in them are less than twice those of the true ground, though heights about gaps spread more."""
+    size, wide = 300, 24
+    true = fractal(0.4, 0.02, 3, size) + 0.25 * SPACING * np.arange(size)
+    height, gap = true.copy(), np.zeros(true.shape, dtype=bool)
+    for row in range(0, size - wide, 2 * wide):
+        for column in range(0, size - wide, 2 * wide):
+            gap[row : row + wide, column : column + wide] = True
+            height[row : row + wide, column + wide : column + 2 * wide : 4] += 0.1
+    sigma, zeros = np.full(true.shape, 0.002), np.zeros(true.shape)
+    mean, errors = likely_ground(np.where(gap, np.nan, height), SPACING, sigma, zeros, zeros)
+    plain = build_terrain("g", 0, 0, SPACING, mean, read_soil("longji"))
+    ground, whole = dataclasses.replace(plain, errors=errors), slice(0, size)
+    drawn = np.array([ground.drawn_heights(d, whole, whole) for d in errors.draws(10, 1)]) - mean
+    inside = gap[:, 4:] & gap[:, :-4]
+    steps = [np.sqrt(np.mean((h[..., 4:] - h[..., :-4])[..., inside] ** 2)) for h in (drawn, true - mean)]
+    assert steps[0] < 2.0 * steps[1] and drawn[:, gap].std() > 0.03
+    slope = np.polyfit(SPACING * np.arange(wide), mean[:wide, :wide].mean(axis=0), 1)[0]
+    assert slope == pytest.approx(0.25, abs=0.1)
+
+
 @pytest.mark.slow
 def test_drives_over_gaps_of_the_model_go_where_the_true_one_goes() -> None:
     """Six with stones and shadows, on each of which the model as it was read has a hole in the way."""
