@@ -54,7 +54,7 @@ class CommonFeatures(NamedTuple):
 class _Error(NamedTuple):
     """A gross error: its sentence, with its size in it, and by what a size of 1 changes rig and observations.
 
-    text : with `{x}` for the size, `{more}` for 1 plus it, `{deg}` for it as an angle.
+    text : with `{x}` for the size, `{more}` for 1 plus it, `{deg}` for it as an angle, `{high}` for the mast and it.
     step : of the size, for derivatives.
     rig : change of the rig's parameters. (24,)
     ground : change of height and slopes, of `_ground`. (3,) [m, -, -]
@@ -256,7 +256,7 @@ def _errors(rig: StereoRig, posed: bool) -> list[_Error]:
         _Error(
             "the right camera stood {x:.2g} m ahead of its place, or the rover moved between the pictures", 0.01, ahead
         ),
-        _Error(f"the camera is {{x:.2g}} m higher over the ground than {rig.height_m:g} m", 0.1, none, (1.0, 0.0, 0.0)),
+        _Error(f"the camera is {{high:.2g}} m over the ground, not {rig.height_m:g} m", 0.1, none, (1.0, 0.0, 0.0)),
     ]
     return errors if not posed else [
         *errors,
@@ -308,7 +308,7 @@ def reliability(rig: StereoRig, ties: CommonFeatures, pose: Pose | None, tilt_de
                             error.step, inverse)  # fmt: skip
         except ParameterError:
             continue
-        explained.append((rest, error.text.format(x=x, more=1 + x, deg=math.degrees(x))))
+        explained.append((rest, error.text.format(x=x, more=1 + x, deg=math.degrees(x), high=rig.height_m + x)))
     explained.sort()
     causes = tuple(text for rest, text in explained if chdtrc(len(off) - 1, rest) >= SIGNIFICANCE)
     if explained and not causes:

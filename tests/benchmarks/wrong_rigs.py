@@ -37,7 +37,7 @@ WRONG: dict[str, tuple[Callable[[StereoRig], StereoRig], str]] = {
     "focal x 0.8": (lambda r: focal(r, 0.8), "focal"),
     "turned by 0.5 deg": (lambda r: replace(r, rotation=rotation_of([0, 0, 0.0087]) @ r.rotation), "turned"),
     "2 px too low": (lambda r: replace(r, right=replace(r.right, cy_px=r.right.cy_px - 2)), "too low"),
-    "mast + 1 m": (lambda r: replace(r, mast_height_m=MAST_M + 1), "higher over the ground"),
+    "mast + 1 m": (lambda r: replace(r, mast_height_m=MAST_M + 1), "m over the ground, not"),
 }
 
 
