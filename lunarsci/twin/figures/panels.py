@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import LightSource, Normalize
+from matplotlib.colors import LightSource, ListedColormap, Normalize
 from matplotlib.patches import Circle
 
 from lunarsci.arrays import IntArray
@@ -95,7 +95,7 @@ def draw_shade(axes: Axes, height: Any, spacing_m: float, **look: Any) -> None:
 
 
 def draw_ground(axes: Axes, terrain: Terrain, window: tuple[slice, slice], interval_m: float) -> None:
-    """Shaded relief with contour lines."""
+    """Shaded relief with contour lines; gaps of the model that were filled in the colour of ground without heights."""
     x, y = terrain.x_m[window[1]], terrain.y_m[window[0]]
     height, half = np.ma.masked_invalid(terrain.height_m[window]), 0.5 * terrain.spacing_m
     extent = (float(x[0]) - half, float(x[-1]) + half, float(y[0]) - half, float(y[-1]) + half)
@@ -105,6 +105,11 @@ def draw_ground(axes: Axes, terrain: Terrain, window: tuple[slice, slice], inter
     levels = np.arange(float(height.min()), float(height.max()) + interval_m, max(interval_m, span / 40.0))
     if len(levels) > 2:
         axes.contour(x, y, height, levels=levels, colors=INK, linewidths=0.5, alpha=0.55)
+    if terrain.errors is not None and (filled := terrain.errors.filled).any():
+        unseen = np.ma.masked_array(np.ones(filled[window].shape), mask=~filled[window])
+        look: Any = {"cmap": ListedColormap([NO_HEIGHT]), "alpha": 0.75, "interpolation": "nearest", "zorder": 2}
+        axes.imshow(unseen, origin="lower", extent=extent, **look)
+        axes.fill([], [], facecolor=NO_HEIGHT, alpha=0.75, label="not seen, filled")
     axes.set(xlim=extent[:2], ylim=extent[2:], aspect="equal", xlabel="x [m]", ylabel="y [m]")
 
 

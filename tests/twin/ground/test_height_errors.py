@@ -223,3 +223,19 @@ def test_drives_over_gaps_of_the_model_go_where_the_true_one_goes() -> None:
     assert all(one["finished"] == 1.0 and one["read"] != "finished" for one in found)
     for name in ("end_x_m", "end_y_m", "largest tilt_deg", "median tilt_deg"):
         assert drawn_terrain.share_within(found, name, 0.95) >= 0.66, name
+
+
+def test_filled_gaps_are_marked_on_the_map_of_a_drive() -> None:
+    """As many nodes are tinted as were filled; a model without gaps has no such entry in the legend."""
+    from matplotlib.figure import Figure
+
+    from lunarsci.twin.figures.panels import draw_ground
+
+    for sun_deg in (8.0, None):
+        model, axes = drawn_terrain.case(0, sun_deg).model, Figure().subplots()
+        ground = model.likely(model.terrain)
+        assert ground.errors is not None
+        draw_ground(axes, ground, (slice(None), slice(None)), 0.1)
+        tinted = [np.ma.count(image.get_array()) for image in axes.images[1:]]
+        assert tinted == [ground.errors.filled.sum()] * (sun_deg is not None)
+        assert axes.get_legend_handles_labels()[1] == ["not seen, filled"] * (sun_deg is not None)
