@@ -6,6 +6,7 @@ from typing import Any
 from lunarsci.minerals import WEIGHED
 from lunarsci.names import some_of
 from lunarsci.pages.words import Result, ResultAnswer, answers, counted, each, measured, number, percent, sentence
+from lunarsci.provenance import plain
 from lunarsci.result import FINE
 from lunarsci.spectra.band_status import DEPENDS
 from lunarsci.spectra.jobs.verdicts import bands_meaning, centre_texts, fit_verdict, shares_verdict
@@ -142,7 +143,7 @@ def _mineral_shares(one: Result) -> list[str]:
     return [
         f"{mineral} {percent(item['fraction'])} ({percent(item['low'])} to {percent(item['high'])})"
         for mineral, item in (one.get("abundance") or {}).items()
-        if isinstance(item, Mapping) and item.get("fraction") is not None
+        if isinstance(item, Mapping) and plain(item.get("fraction")) is not None
     ]
 
 
