@@ -109,6 +109,24 @@ def test_a_key_is_described_as_the_key_of_its_own_command(command: str, monkeypa
     assert [row for row in rows.values() if re.search(r"\bNone\b|\bNaN\b|\([nm], ", row)] == []
 
 
+def test_words_that_a_key_is_described_by_are_those_that_are_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each `status` of one word is named in its description, and what is named as `ok` is written so somewhere."""
+    monkeypatch.syspath_prepend(str(ROOT / "docs/_extension"))
+    import pages_of_commands
+
+    written: dict[tuple[str, str], set[str]] = {}
+    for command, result in pages_of_commands.recorded():
+        for key, value in pages_of_commands.keys_and_values(result):
+            if key.rpartition(".")[2] in ("status", "kind"):
+                written.setdefault((command, key), set()).add(str(value))
+    glossary = pages_of_commands.meanings()
+    for (command, key), values in written.items():
+        _, meaning = pages_of_commands.meaning_of(key, glossary, command, set())
+        single = {value for value in values if value and " " not in value and value.islower()}
+        assert single <= set(re.findall("`([a-z_-]+)`", meaning)), (command, key, values)
+        assert "`ok`" not in meaning or not all(" " in value for value in values), (command, key, values)
+
+
 def test_the_program_of_make_keys_prints_those_of_a_command() -> None:
     program = ROOT / "docs/_extension/pages_of_commands.py"
     done = subprocess.run([sys.executable, program, "twin", "predict"], capture_output=True, text=True, check=True)

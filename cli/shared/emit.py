@@ -233,7 +233,9 @@ def _counted(report: Report, failed: str | Path | None) -> str:
     """How many spectra of a batch have a result, and how many inputs, or single spectra of them, have none."""
     names = list(dict.fromkeys(failure.input for failure in report.failures))
     key = next((key for key in ("spectra", "rocks") if key in report.content), "")
-    count = len(report.content[key]) if key else 0
+    lost = {(one.input, one.spectrum) for one in report.failures}
+    named = ((one.get("source"), one.get("id")) for one in report.content.get(key, ()))
+    count = sum(lost.isdisjoint({(source, ""), (source, name)}) for source, name in named)
     noun = {"spectra": "spectrum", "rocks": "rock"}[key] if count == 1 else key
     results = f"{count} {noun} with a result, " if key else ""
     single = sum(bool(one.spectrum) for one in report.failures)

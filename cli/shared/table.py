@@ -345,6 +345,8 @@ def first_screen(answers: Sequence[str], tables: Sequence[TextTable], width: int
         return render([some], width).splitlines()
 
     rows = len(main.shown)
+    if len(answers) > 1 and len(answer) + len(shown(rows, 0)) + 1 > SCREEN:
+        return first_screen(answers[:-1], tables, width)  # of several things the rows, then as many sentences as fit
     fewer = (shown(rows, notes) for notes in range(NOTES, 0, -1))
     lines = next((some for some in fewer if len(answer) + len(some) < SCREEN), None) or shown(rows, 0)
     if len(answer) + len(lines) + 1 > SCREEN:

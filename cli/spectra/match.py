@@ -83,7 +83,9 @@ def result_tables(result: Matches) -> list[TextTable]:
             "(direct), the fall of younger ejecta (stirred) or small local craters (gardened), with its share; assumed "
             "or known:"
         )
-        return [_craters_table(matches[0], [matches[0].status, *matches[0].rock.remarks, remark, *notes])]
+        match = matches[0]
+        remarks = [text for text in match.rock.remarks if text not in match.status]
+        return [_craters_table(match, [match.status, *remarks, remark, *notes])]
     shown = matches[:SHOWN]
     rows = [[m.rock.id, m.remaining[0], f"{_best(m):.2f}", f"{m.other_posterior:.2f}", m.status] for m in shown]
     headers = ["rock", "likeliest", "posterior", OTHER, "status"]

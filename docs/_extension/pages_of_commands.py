@@ -129,19 +129,19 @@ def meanings() -> dict[str, tuple[str, str]]:
     return found
 
 
-def _keys(value: Any, path: str = "") -> Iterator[str]:
+def keys_and_values(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
     if isinstance(value, dict):
         long_list = {"first", "last", "length"} <= set(value)  # how the record keeps long lists
         for key, inner in value.items():
             if not long_list:
-                yield from _keys(inner, f"{path}.{key}" if path else key)
+                yield from keys_and_values(inner, f"{path}.{key}" if path else key)
             elif key == "first":
-                yield from _keys(inner, f"{path}[]")
+                yield from keys_and_values(inner, f"{path}[]")
     elif isinstance(value, list) and value and isinstance(value[0], dict):
         for entry in value:
-            yield from _keys(entry, f"{path}[]")
+            yield from keys_and_values(entry, f"{path}[]")
     else:
-        yield path
+        yield path, value
 
 
 ENDINGS = {
@@ -262,7 +262,7 @@ def written_end(key: str, command: str) -> tuple[str, str]:
     return "", ""
 
 
-def _meaning(key: str, known: dict[str, tuple[str, str]], command: str, beside: set[str]) -> tuple[str, str]:
+def meaning_of(key: str, known: dict[str, tuple[str, str]], command: str, beside: set[str]) -> tuple[str, str]:
     """Unit and meaning of a key: written of it, of the glossary, of its ending, of the code, or of its part."""
     parts = [part.removesuffix("[]") for part in key.split(".")]
     name, area = parts[-1], command.split()[0]
@@ -298,27 +298,32 @@ def _beside(keys: Iterable[str]) -> dict[str, set[str]]:
     return names
 
 
-def keys_text(command: str = "") -> str:
-    """Keys of `--json` of a command, or of all, as recorded answers have them, with units and meanings."""
-    known = meanings()
+def recorded() -> Iterator[tuple[str, Any]]:
+    """Command and result of every recorded answer."""
     answers = json.loads((ROOT / "tests/former_results.json").read_text("utf-8"))["answers"]
     texts = [file.read_text("utf-8") for file in (ROOT / "tests/cli").glob("test_*.py")]
     texts = [text for text in texts if "\nRECORDED = {" in text]
     texts.append((ROOT / "tests/benchmarks/former.py").read_text("utf-8"))
     lines = {name: line for text in texts for name, line in re.findall(r'^    "([^"]+)": f?"(.+)', text, re.M)}
     paths = sorted((path for path, _ in every_command()), key=len, reverse=True)
-    found: dict[str, dict[str, None]] = {}
     for name, answer in answers.items():
         line = lines.get(name, "")
-        path = next((path for path in paths if line.startswith(path)), "")
-        if path and path.startswith(command):
-            found.setdefault(path, {}).update(dict.fromkeys(_keys(answer["result"])))
+        if path := next((path for path in paths if line.startswith(path)), ""):
+            yield path, answer["result"]
+
+
+def keys_text(command: str = "") -> str:
+    """Keys of `--json` of a command, or of all, as recorded answers have them, with units and meanings."""
+    known, found = meanings(), dict[str, dict[str, None]]()
+    for path, result in recorded():
+        if path.startswith(command):
+            found.setdefault(path, {}).update(dict.fromkeys(key for key, _ in keys_and_values(result)))
     parts = []
     for path in sorted(found):
         rows, beside = [], _beside(found[path])
         for key in sorted(found[path]):
             above = key.replace("[]", "").rpartition(".")[0]
-            unit, meaning = _meaning(key, known, path, beside[above])
+            unit, meaning = meaning_of(key, known, path, beside[above])
             rows.append(f"| `{key}` | {unit} | {meaning} |".replace("|s|", r"\|s\|"))
         parts.append(
             f"## `lunarsci {path}`\n\n| key of `result` | unit | meaning |\n| --- | --- | --- |\n" + "\n".join(rows)

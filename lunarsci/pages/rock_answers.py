@@ -3,8 +3,10 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from lunarsci.minerals import WEIGHED
 from lunarsci.names import some_of
 from lunarsci.pages.words import Result, ResultAnswer, answers, counted, each, measured, number, percent, sentence
+from lunarsci.provenance import plain
 from lunarsci.result import FINE
 from lunarsci.spectra.band_status import DEPENDS
 from lunarsci.spectra.jobs.verdicts import bands_meaning, centre_texts, fit_verdict, shares_verdict
@@ -141,7 +143,7 @@ def _mineral_shares(one: Result) -> list[str]:
     return [
         f"{mineral} {percent(item['fraction'])} ({percent(item['low'])} to {percent(item['high'])})"
         for mineral, item in (one.get("abundance") or {}).items()
-        if isinstance(item, Mapping) and item.get("fraction") is not None
+        if isinstance(item, Mapping) and plain(item.get("fraction")) is not None
     ]
 
 
@@ -234,12 +236,9 @@ def library(result: Result) -> ResultAnswer:
 def mapped(result: Result) -> ResultAnswer:
     counts = result["pixels"]
     usable = counts["pixels"] - counts.get("no_data", 0)
-    layers = [
-        one
-        for one in result["layers"]
-        if one.get("kind") == "value" and one.get("median") is not None and not any(e in one["name"] for e in ERRORS)
-    ]
-    lines = []
+    medians = {one["name"]: one for one in result["layers"] if one.get("median") is not None}
+    layers = [one for name, one in medians.items() if not any(e in name for e in (*ERRORS, "share_"))]
+    lines = _shares_mapped(medians)
     layers.sort(key=lambda one: not one["name"].startswith("bc"))
     for one in layers[:MOST_LAYERS]:
         symbol = "" if one.get("units") in (None, "1", "-") else f" {one['units']}"
@@ -250,6 +249,18 @@ def mapped(result: Result) -> ResultAnswer:
         )
     text = f" {sentence('; '.join(lines))}" if lines else " No pixel gave a value."
     return ResultAnswer(f"Of {counted(counts['pixels'], 'pixel')} {usable} could be used.{text}")
+
+
+def _shares_mapped(medians: Mapping[str, Any]) -> list[str]:
+    """The median share of each mineral, with the medians of the ends of its 95 % interval."""
+    minerals = [mineral for mineral in WEIGHED if f"share_{mineral}" in medians]
+    shares = [
+        f"{mineral} {percent(medians[name]['median'])} "
+        f"({' to '.join(percent(medians[f'{name}_{end}95']['median']) for end in ('low', 'high'))})"
+        for mineral, name in ((one, f"share_{one}") for one in minerals)
+    ]
+    where = _where_determined(medians[f"share_{minerals[0]}"]["determined"]) if minerals else ""
+    return [f"medians of shares, and of their 95 % intervals: {', '.join(shares)}{where}"] if shares else []
 
 
 def _where_determined(share: float | None) -> str:

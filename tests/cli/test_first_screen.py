@@ -69,6 +69,14 @@ def test_a_file_whose_name_tells_no_form_is_said_to_be_text(run, tmp_path: Path)
     assert (tmp_path / "forces.xyz").read_bytes() == (tmp_path / "forces.txt").read_bytes()
 
 
+def test_of_several_spectra_all_rows_come_before_sentences() -> None:
+    verdicts = [f"rock {k}: {'a pyroxene is sure, which one is open, ' * 8}" for k in range(5)]
+    table = TextTable(["rock", "assemblage"], [[f"rock {k}", "CPX"] for k in range(5)], notes=["a note"] * 30)
+    lines = first_screen(verdicts, [table], 80).splitlines()
+    assert sum(line.endswith("CPX") for line in lines) == 5 and len(lines) <= 24
+    assert lines[0].startswith("rock 0: a pyroxene") and "more lines: --verbose" in lines[-1]
+
+
 def test_rows_of_several_lines_are_shown_as_far_as_there_is_room() -> None:
     """As of rocks with a long verdict each: some rows, not the heading alone."""
     rows = [[f"rock {k}", f"verdict {k}: {'not decided, many remain, ' * 8}"] for k in range(8)]

@@ -241,6 +241,17 @@ def test_a_composition_beyond_its_trend_is_not_sold_as_one(run, tmp_path: Path) 
     assert "where the trend was measured: do not use" in done.out
 
 
+def test_spectra_without_a_fit_are_not_counted_among_those_with_one(run, rock: Path, tmp_path: Path) -> None:
+    path = tmp_path / "three.csv"
+    head, *rows = rock.read_text().splitlines()
+    cells = [line.split(",")[:2] for line in rows]
+    lines = [",".join([nm, value, value, value if k < 9 else ""]) for k, (nm, value) in enumerate(cells)]
+    path.write_text("\n".join([f"{head.split(',')[0]},a,b,few", *lines]) + "\n")
+    for command in ("fit", "bands"):
+        done = run("spectra", command, path, "-o", tmp_path / f"{command}.json")
+        assert any(line.startswith("2 spectra with a result, 1 single spectrum without: ") for line in done.err)
+
+
 def test_shares_of_pyroxenes_are_the_ratio_with_a_wide_error_where_it_is_that_of_a_pair(run, rock: Path) -> None:
     record = fitted(run, rock)
     pyroxenes, ratio = record["abundance"], record["nbsr"]["um2"]

@@ -301,6 +301,11 @@ class Product(ABC):
 
     name: ClassVar[str]
 
+    reasons: ClassVar[Sequence[str]] = ()
+    """Layers of codes, or ends of their names, that say why a pixel has no value."""
+    instead: ClassVar[str] = ""
+    """What leads on where no pixel has a value."""
+
     @property
     def slow(self) -> bool:
         """Whether it works on one spectrum after the other."""
@@ -403,7 +408,7 @@ class Tally:
         self.codes: dict[str, dict[str, int]] = {
             layer.name: dict.fromkeys(layer.meanings, 0) for layer in layers if layer.meanings
         }
-        self.pixels = 0
+        self.pixels, self.determined = 0, dict.fromkeys(self.parts, 0)
 
     def through(self, blocks: Iterator[tuple[range, Mapping[str, Any]]]) -> Iterator[tuple[range, Mapping[str, Any]]]:
         """The same blocks."""
@@ -419,6 +424,7 @@ class Tally:
         for layer in self.layers:
             values = arrays[layer.name].ravel()
             if not layer.meanings:
+                self.determined[layer.name] += int(np.isfinite(values[retained]).sum())
                 self.parts[layer.name].append(values[some])
                 continue
             for k, name in enumerate(layer.meanings):

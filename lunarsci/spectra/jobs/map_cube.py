@@ -14,6 +14,7 @@ from lunarsci.io.atomic import written_whole
 from lunarsci.io.inputs import Source, expand_inputs
 from lunarsci.io.tables import table_hashes
 from lunarsci.memory import new_path
+from lunarsci.names import some_of
 from lunarsci.options import refuse_where, request_of
 from lunarsci.parallel.blocks import blocks_in_order, rows_in_memory
 from lunarsci.provenance import Provenance
@@ -41,6 +42,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+MOST_REASONS = 4
+"""Reasons without a value that are named."""
 BYTES_A_CHANNEL = 80
 """Memory of a pixel while it is worked on, for each channel and layer: reflectance and its copies; measured."""
 
@@ -56,7 +59,8 @@ class CubeMap(Result):
     counts : pixels that were wanted, and those with each flag.
     codes : by layer of codes, pixels with each of its codes.
     made : what the file was made of.
-    sampled : by layer of values, those of some pixels evenly spread over the map, NaN where not determined.
+    determined : by layer of values, pixels that have one.
+    sampled : the same, the values of some pixels evenly spread over the map, NaN where not determined.
     """
 
     schema = "spectra-map/1"
@@ -66,6 +70,7 @@ class CubeMap(Result):
     products: Sequence[Product]
     counts: Mapping[str, int]
     codes: Mapping[str, Mapping[str, int]]
+    determined: Mapping[str, int]
     sampled: Mapping[str, Any] = field(repr=False)
 
     @property
@@ -74,9 +79,19 @@ class CubeMap(Result):
 
     @property
     def doubt(self) -> Doubt:
-        if self.counts["pixels"] > self.counts["no_data"]:
-            return Doubt()
-        return Doubt.of("no pixel of the region has a channel that can be used", verdict=NOT_TO_BE_TRUSTED)
+        if self.counts["pixels"] <= self.counts["no_data"]:
+            return Doubt.of("no pixel of the region has a channel that can be used", verdict=NOT_TO_BE_TRUSTED)
+        values = [(one, [layer.name for layer in one.layers if not layer.meanings]) for one in self.products]
+        without = (one for one, names in values if not any(self.determined[name] for name in names))
+        return Doubt.of(*map(self._why_without, without), verdict=NOT_TO_BE_TRUSTED)
+
+    def _why_without(self, product: Product) -> str:
+        """That no pixel has a value of a product, how many there are of each reason, and what leads on."""
+        counts = {name: {code: n for code, n in self.codes[name].items() if n} for name in product.reasons}
+        reasons = [f"{name} {code} in {n} of {self.counts['pixels']} pixels" for name, codes in counts.items()
+                   for code, n in codes.items()]  # fmt: skip
+        why = some_of(reasons, MOST_REASONS)
+        return "; ".join(filter(None, (f"no pixel has a value of {product.name}", why, product.instead)))
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -226,7 +241,7 @@ def map_cube(
         file.write(Path(name), target.suffix, tally.through(blocks))
     return CubeMap(
         path=target, made=file, request=asked, products=products,
-        counts=tally.counts(), codes=tally.codes, sampled=tally.values(),
+        counts=tally.counts(), codes=tally.codes, determined=tally.determined, sampled=tally.values(),
     )  # fmt: skip
 
 

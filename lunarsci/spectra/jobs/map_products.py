@@ -81,6 +81,7 @@ class BandsProduct(Product):
     """The 1 and 2 um bands, as `lunarsci.bands` measures them."""
 
     name: ClassVar[str] = "bands"
+    reasons: ClassVar[Sequence[str]] = tuple(f"band{band.key}_status" for band in BANDS)
     continuum: Any
     smooth_nm: float
 
@@ -123,6 +124,7 @@ class IndicesProduct(Product):
     """Spectral indices, as `lunarsci.indices` computes them."""
 
     name: ClassVar[str] = "indices"
+    reasons: ClassVar[Sequence[str]] = tuple(f"{name}_status" for name in INDICES)
 
     @classmethod
     def of(cls, request: MapRequest) -> "IndicesProduct":
@@ -167,6 +169,7 @@ class FitProduct(Product):
     """The Modified Gaussian Model, as `lunarsci.fit` fits it; with `contest_every` above 0 as `fit_region` does."""
 
     name: ClassVar[str] = "fit"
+    reasons: ClassVar[Sequence[str]] = ("fit_flags",)
     assemblage: str
     continuum: Any
     model_error: float | None
@@ -265,6 +268,11 @@ class UnmixProduct(Product):
     """
 
     name: ClassVar[str] = "unmix"
+    reasons: ClassVar[Sequence[str]] = ("kind",)
+    instead: ClassVar[str] = (
+        "a weathered soil has no shares: `bands` and `indices` of `products` measure it, and `lunarsci spectra unmix` "
+        "gives the composition of the soil in one pixel (--spectrum)"
+    )
     kind: Any
     minerals: tuple[str, ...]
     both: bool = False
@@ -407,7 +415,7 @@ class MatchProduct(Product):
         with suppress(DataError):
             site = ",".join(map(str, CHANG_E_4))  # moves the prior alone, and no factor
             how = {"craters": self.craters, "site": site, "exposure": False, "re_excavation": False}
-            for result in match(results, **how).matches:
+            for result in (one for one in match(results, **how).matches if one.rock.composition.comparable):
                 by_name = {item.crater.name: item.ln_bayes_factor for item in result.craters}
                 factors[int(result.rock.id)] = [by_name[name] for name in names]
         finite = np.isfinite(factors).all(axis=1)

@@ -112,23 +112,27 @@ def read_rocks(source: InputFile) -> list[Rock]:
     """The rocks of a result: modes from its `abundance`, else pyroxenes from NBSR at 2 um; band centres with errors.
 
     Errors from the data, the calibration that channels share and the choice of the continuum are added in squares.
-    Spectra without a result are left out. Raises DataError for another kind of file, or one without a usable rock.
+    Of a spectrum that has none of them nothing is known, and a remark says why. Raises DataError for another kind of
+    file, or one without a spectrum.
     """
     schema, records = _records(source)
     read = _from_fit if schema.startswith(FITS) else _from_bands
     rocks = []
     for index, record in enumerate(records):
         try:
-            rock = read(record, str(record.get("id") or f"{source.stem}-{index}"))
+            rocks.append(read(record, str(record.get("id") or f"{source.stem}-{index}")))
         except (ParameterError, TypeError, ValueError, KeyError, AttributeError) as error:
             raise DataError(f"{source.name}: spectrum {index}: {error}; was the file edited?") from error
-        rocks += [rock] if rock else []
     if not rocks:
-        raise DataError(
-            f"{source.name}: no spectrum has shares, an NBSR at 2 µm or band centres; make shares by `lunarsci spectra "
-            "unmix FILE --kind solid-rock -o shares.json`, or centres by `lunarsci spectra bands FILE -o bands.json`"
-        )
+        raise DataError(f"{source.name}: has no spectrum; {MAKE_SHARES}")
     return rocks
+
+
+MAKE_SHARES = "make shares by `lunarsci spectra unmix FILE -o shares.json`"
+
+
+def _unknown(name: str, why: str) -> Rock:
+    return Rock(name, Composition(), (why,))
 
 
 def _records(source: InputFile) -> tuple[str, Sequence[Mapping[str, Any]]]:
@@ -148,13 +152,13 @@ def _records(source: InputFile) -> tuple[str, Sequence[Mapping[str, Any]]]:
     return schema, records
 
 
-def _from_fit(record: Mapping[str, Any], name: str) -> Rock | None:
+def _from_fit(record: Mapping[str, Any], name: str) -> Rock:
     abundance = record.get("abundance")
     if abundance:
         return _from_shares(abundance, str((record.get("kind") or {}).get("name")), name)
     ratio = (record.get("nbsr") or {}).get("um2")
     if not ratio or ratio.get("opx") is None:
-        return None
+        return _unknown(name, f"{_without_ratio(record)}; {MAKE_SHARES}")
     opx = float(ratio["opx"])
     sigma = _combined(ratio, ("sigma", "calibration", "continuum"), "NBSR")
     sigma = min(sigma, 1.0)  # the most that a fraction may have
@@ -163,7 +167,17 @@ def _from_fit(record: Mapping[str, Any], name: str) -> Rock | None:
     return Rock(name, Composition(modes, {}, opposite), ("OPX : CPX is NBSR at 2 µm as it stands, uncalibrated",))
 
 
-def _from_shares(abundance: Mapping[str, Any], kind: str, name: str) -> Rock | None:
+def _without_ratio(record: Mapping[str, Any]) -> str:
+    """Why a fit has no ratio of pyroxenes at 2 um."""
+    if not (bands := record.get("bands")):
+        return f"there is no fit of it: {record.get('status') or 'no reason given'}"
+    fitted = {band.get("mineral") for band in bands if band.get("region") == "um2"}
+    if {"orthopyroxene", "clinopyroxene"} <= fitted:
+        return "its bands leave the ratio of pyroxenes at 2 µm (NBSR) open"
+    return f"it was fitted without bands of both pyroxenes at 2 µm ({record.get('assemblage')})"
+
+
+def _from_shares(abundance: Mapping[str, Any], kind: str, name: str) -> Rock:
     """Shares and their standard deviations, by the intervals that `spectra unmix` calibrates.
 
     One that is not determined counts with the middle and half the width of its interval; where none is, nothing is
@@ -173,16 +187,16 @@ def _from_shares(abundance: Mapping[str, Any], kind: str, name: str) -> Rock | N
         text = (
             f"its shares hold the prior {prior}, which is no evidence of a crater, and do not count; unmix without it"
         )
-        return Rock(name, Composition(), (text,))
+        return _unknown(name, text)
     given = {mineral: abundance.get(mineral) or {} for mineral in WITH_BANDS}
     modes = {mineral: _interval(item) for mineral, item in given.items() if item.get("low") is not None}
     determined = [mineral for mineral in modes if given[mineral].get("fraction") is not None]
     remarks: list[str] = ["its shares are those of the first method (`abundance` in JSON)"]
     tables: tuple[str, ...] = ()
     if modes and not determined:
-        return Rock(name, Composition(), (f"its shares decide nothing: {abundance.get('status', 'not determined')}",))
+        return _unknown(name, f"its shares decide nothing: {abundance.get('status', 'not determined')}")
     if len(modes) < 2:
-        return None
+        return _unknown(name, "it has shares of fewer than two minerals")
     if wide := [mineral for mineral in modes if mineral not in determined]:
         remarks.append(f"not determined, known by their intervals alone: {', '.join(wide)}")
     untested = abundance.get("in_domain") is False
@@ -237,14 +251,14 @@ def widened(modes: Mapping[str, Value], kind: str) -> tuple[dict[str, Value], st
     return wide, f"errors at least those measured of unmixed spectra of {kind}: {least}"
 
 
-def _from_bands(record: Mapping[str, Any], name: str) -> Rock | None:
+def _from_bands(record: Mapping[str, Any], name: str) -> Rock:
     bands = {}
     for key in BANDS:
         stem = key.removesuffix("_nm")
         if record.get(key) is not None and record.get(f"{stem}_sigma_nm") is not None:
             parts = (f"{stem}_sigma_nm", f"{stem}_systematic_nm", f"{stem}_calibration_nm")
             bands[key] = (float(record[key]), _combined(record, parts, key))
-    return Rock(name, Composition({}, bands)) if bands else None
+    return Rock(name, Composition({}, bands)) if bands else _unknown(name, "it has no band centre with an error")
 
 
 def _combined(record: Mapping[str, Any], keys: Iterable[str], what: str) -> float:

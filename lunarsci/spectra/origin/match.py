@@ -613,7 +613,8 @@ def _status(rock: Rock, matches: Sequence[CraterMatch], other: float, decided: b
     if not any(item.evidence.minerals or item.evidence.bands for item in matches):
         given = rock.composition.modes or rock.composition.bands
         what = "shares of its minerals" if rock.composition.modes else "band centres"
-        why = f"no crater has {what} to compare with" if given else "no composition of the rock is known"
+        unknown = "; ".join(rock.remarks) or "no composition of the rock is known"
+        why = f"no crater has {what} to compare with" if given else unknown
         return f"{remain}; composition decides nothing: {why}; the posterior is the prior"
     if decided and left[0][0] == OTHER:
         return "goes with none of the craters whose composition is known: another source is likelier than all of them"

@@ -14,6 +14,8 @@ from lunarsci.cli import main
 
 import lunarsci
 from lunarsci.errors import DataError, OutputError, RequestError
+from lunarsci.pages.answers import answer
+from lunarsci.pages.documents import Document
 from lunarsci.spectra.jobs.bands import bands
 from lunarsci.spectra.jobs.fit import fit
 from lunarsci.spectra.jobs.indices import indices
@@ -239,6 +241,18 @@ def test_a_map_of_nothing_says_so(envi: Any, tmp_path: Path) -> None:
         str(envi(np.full((4, 4, 85), -999.0), data_ignore_value=-999)), tmp_path / "map.nc", products="bands"
     )
     assert "no pixel" in result.untrusted
+
+
+def test_a_map_of_soil_alone_says_why_it_has_no_shares_and_one_of_rock_has_all_four(envi: Any, tmp_path: Path) -> None:
+    how: dict[str, Any] = {"path": tmp_path / "map.nc", "products": "indices,unmix", "every": 2, "force": True}
+    soil = map_cube(str(envi(CUBE)), kind="weathered-soil", **how)
+    assert soil.untrusted.startswith("not to be trusted: no pixel has a value of unmix; kind weathered_soil in 9 of 9")
+    assert "composition of the soil in one pixel" in soil.untrusted
+    rock = map_cube(str(envi(CUBE)), kind="powder-mixture", **how)
+    assert not rock.untrusted
+    page = Document("", rock.schema, rock.to_dict(), {})
+    for mineral in ("Medians of shares, and of their 95 % intervals: olivine", ", orthopyroxene", ", plagioclase"):
+        assert re.search(rf"{mineral} \d+ % \(\d+ % to \d+ %\)", answer(page).text)
 
 
 @pytest.mark.slow

@@ -179,12 +179,25 @@ def test_band_centres_with_all_their_errors() -> None:
     assert rock.composition.bands == {"bc1000_nm": pytest.approx((930.0, 13.0))}
 
 
-def test_spectra_without_a_result_are_left_out() -> None:
-    ratio = {"opx": 0.4, "sigma": 0.03}
+def test_of_a_spectrum_without_a_result_nothing_is_known_and_a_reason_says_why() -> None:
+    ratio, both = {"opx": 0.4, "sigma": 0.03}, ("orthopyroxene", "clinopyroxene")
+    bands = [{"mineral": mineral, "region": "um2"} for mineral in both]
     rocks = read_result(
-        "fit", {"id": "no", "nbsr": None}, {"id": "yes", "nbsr": {"um2": ratio}}, {"id": "none", "nbsr": {}}
+        "fit",
+        {"id": "failed", "nbsr": None, "bands": [], "status": "too few channels"},
+        {"id": "yes", "nbsr": {"um2": ratio}, "bands": bands},
+        {"id": "open", "nbsr": {"um2": None}, "bands": bands},
+        {"id": "one", "nbsr": {"um2": None}, "bands": bands[:1], "assemblage": "OL-OPX"},
+        {"id": "pure", "abundance": {"olivine": {"fraction": 1, "low": 1, "high": 1}}},
     )
-    assert [rock.id for rock in rocks] == ["yes"]
+    [centres] = read_result("bands", {"id": "flat"})
+    assert [rock.composition.comparable for rock in rocks] == [False, True, False, False, False]
+    reasons = {rock.id: rock.remarks[0] for rock in (*rocks, centres)}
+    assert reasons["failed"].startswith("there is no fit of it: too few channels; make shares by")
+    assert "leave the ratio of pyroxenes at 2 µm (NBSR) open" in reasons["open"]
+    assert "without bands of both pyroxenes at 2 µm (OL-OPX)" in reasons["one"]
+    assert reasons["pure"] == "it has shares of fewer than two minerals"
+    assert reasons["flat"] == "it has no band centre with an error"
 
 
 def test_two_results_of_one_rock_are_one_rock() -> None:
@@ -205,7 +218,7 @@ def test_two_results_of_one_rock_are_one_rock() -> None:
         ('{"schema": "lunarsci/forces/1", "result": {}}', "schema is 'lunarsci/forces/1'"),
         ('{"schema": "lunarsci/spectra-fit/1"}', "has no result.spectra"),
         ('{"schema": "lunarsci/spectra-fit/1", "result": {"spectra": []}}',
-         "make shares by `lunarsci spectra unmix FILE --kind solid-rock -o shares.json`"),
+         "has no spectrum; make shares by `lunarsci spectra unmix FILE -o shares.json`"),
         ('{"schema": "lunarsci/spectra-fit/1", "result": {"spectra": [{"nbsr": {"um2": {"opx": 1.4, "sigma": 0.1}}}]}}',
          "orthopyroxene is 1.4; give 0 to 1"),
         ('{"schema": "lunarsci/spectra-fit/1", "result": {"spectra": [{"nbsr": {"um2": {"opx": 0.4}}}]}}',

@@ -312,6 +312,8 @@ def test_rocks_without_anything_to_compare_keep_the_prior() -> None:
     assert [i.posterior for i in match.craters] == pytest.approx([i.prior.probability for i in match.craters])
     assert match.best is None
     assert "; composition decides nothing: no composition of the rock is known" in match.status
+    why = "its shares hold the prior lunar-rocks"
+    assert f"; composition decides nothing: {why}; the posterior" in matched(Rock("a", Composition(), (why,))).status
 
 
 @pytest.mark.parametrize("settings", [{"systematic": -0.1}, {"systematic": 2}, {"band_systematic_nm": -1}])
