@@ -45,6 +45,7 @@ OF_RESULTS = {
     "json": "to_dict()",
     "plot": "plot()",
     "save_map": "map_bytes()",
+    "verbose": "to_text()",
 }
 """What the command line is asked for by an option, and Python has as a method of the result."""
 _VALUE = r"(?=[^ ,;:)]*[\d=A-Z])[^ ,;:)]+(?:,[a-z_]+=[^ ,;:)]+)*|auto|priors"

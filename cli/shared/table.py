@@ -296,13 +296,13 @@ def _wrapped(table: TextTable, width: int) -> TextTable:
 
 
 def wrapped(text: str, width: int) -> list[str]:
-    """Lines of at most `width` characters; what follows the first is set in by two more blanks."""
+    """Lines of at most `width` characters, 0: never cut; what follows the first is set in by two more blanks."""
     lines = []
     for line in text.split("\n"):
         blanks = " " * (len(line) - len(line.lstrip()))
         words = printable(line.strip())
         lines += textwrap.wrap(
-            words, width, initial_indent=blanks, subsequent_indent=f"{blanks}  ", break_on_hyphens=False
+            words, width or _NEVER_CUT, initial_indent=blanks, subsequent_indent=f"{blanks}  ", break_on_hyphens=False
         ) or [""]
     return lines
 

@@ -37,16 +37,24 @@ def predicted(result: Result) -> ResultAnswer:
     if not go:
         return ResultAnswer(f"No-go for {drive}: {'; '.join(_broken(result)) or 'a limit is broken'}.", STOP)
     broken = max((int(one.get("exceeding") or 0) for one in result["limits"]), default=0)
+    some = _those_that_arrived(result)
+    of = some or counted(members, "predicted drive")
     limits_text = (
-        f"a limit is broken by {broken} of {counted(members, 'predicted drive')}, fewer than one in twenty"
-        if broken
-        else f"all limits are kept in {counted(members, 'predicted drive')}"
+        f"a limit is broken by {broken} of {of}, fewer than one in twenty" if broken else f"all limits are kept in {of}"
     )
     tight = max((one for one in result["limits"] if one.get("limit")), key=_used, default=None)
     near = f"; nearest to its limit comes the {quantity(tight['quantity'])}, {_of_limit(tight)}" if tight else ""
     end = result.get("endpoint")
-    where = f" All drives end within {number(end['covering_radius_m'], 2)} m of the destination." if end else ""
+    who = some.capitalize() or "All drives"
+    where = f" {who} end within {number(end['covering_radius_m'], 2)} m of the destination." if end else ""
     return ResultAnswer(f"Go for {drive}: {limits_text}{near}.{where}{_made_up(result, 'verdict')}", GO)
+
+
+def _those_that_arrived(result: Result) -> str:
+    """The drives that limits and ends are of, where others stopped; '' where all arrived."""
+    members = result["members"]
+    arrived = (result.get("outcomes") or {}).get("finished", members)
+    return "" if arrived == members else f"the {arrived} drives that arrived"
 
 
 def _made_up(result: Result, what: str) -> str:
@@ -61,10 +69,11 @@ def _made_up(result: Result, what: str) -> str:
 
 def _broken(result: Result) -> list[str]:
     """Why it is no go: limits that are broken, then reasons that are of no limit, as the command says them."""
-    broken = [one for one in result["limits"] if one.get("ok") is False and one.get("p95") is not None]
+    among = _those_that_arrived(result) or "the drives"
+    broken = [one for one in result["limits"] if one.get("ok") is False and None not in (one["p05"], one["p95"])]
     names = [str(one["quantity"]) for one in broken]
     lines = [
-        f"the {quantity(one['quantity'])} is {_reached(one)} in 95 % of the drives, {_bound(one)} is allowed"
+        f"the {quantity(one['quantity'])} is {_reached(one)} in 95 % of {among}, {_bound(one)} is allowed"
         for one in broken
     ]
     return lines + [str(text) for text in result.get("reasons", ()) if str(text).partition(":")[0] not in names]
