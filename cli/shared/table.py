@@ -473,8 +473,8 @@ def to_csv(rows: Sequence[Mapping[str, Any]]) -> Iterator[bytes]:
     yield text.getvalue().encode()
 
 
-def chosen_csv(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> Iterator[bytes]:
-    """Some columns of that CSV, in their order. Raises RequestError for one that is not there."""
+def chosen_csv(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> list[bytes]:
+    """Some columns of that CSV, in their order. Raises RequestError for one that is not there, before any is written."""
     reader = csv.reader(io.StringIO(b"".join(to_csv(rows)).decode()))
     names = next(reader)
     try:
@@ -484,7 +484,7 @@ def chosen_csv(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> Ite
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerows([row[k] for k in places] for row in (names, *reader))
-    yield text.getvalue().encode()
+    return [text.getvalue().encode()]
 
 
 def _cell(value: Any) -> Any:
