@@ -474,7 +474,7 @@ def to_csv(rows: Sequence[Mapping[str, Any]]) -> Iterator[bytes]:
 
 
 def chosen_csv(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> list[bytes]:
-    """Some columns of that CSV, in their order. Raises RequestError for one that is not there, before any is written."""
+    """Some columns of that CSV, in their order. RequestError for one that is not there, before any is written."""
     reader = csv.reader(io.StringIO(b"".join(to_csv(rows)).decode()))
     names = next(reader)
     try:

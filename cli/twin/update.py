@@ -19,6 +19,7 @@ from .options import AS_WRITTEN, GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, TER
 
 if TYPE_CHECKING:
     from lunarsci.twin.assimilation.segments import Segment
+    from lunarsci.twin.assimilation.update import SoilUpdate
     from lunarsci.twin.jobs.update import LearnedSoil
 
 
@@ -146,8 +147,7 @@ def _notes(learned: LearnedSoil) -> list[str]:
         *learned.before.cautions(update),
         *_slip_notes(learned),
     ]
-    if update.prediction.ruts:
-        notes.append("wheels that follow met the ruts of those before them; so they will where this soil is driven on")
+    notes.append(_rut_note(update))
     for name, factor in update.inflation.items():
         notes.append(f"errors of {name} are taken {factor:.1f} times as large: no soil explains it better")
     for name, size in update.wheel_errors.items():
@@ -158,6 +158,15 @@ def _notes(learned: LearnedSoil) -> list[str]:
     if not update.settled:
         notes.append("the soils have not spread out; take more particles, or intervals are too narrow")
     return [*notes, *_mass_notes(learned), EFFECTIVE]
+
+
+def _rut_note(update: SoilUpdate) -> str:
+    """How surely wheels ran in the ruts of others, and what that means for predictions."""
+    will = "will" if update.prediction.ruts else "will not"
+    return (
+        f"wheels that follow met the ruts of those before them with a probability of {update.ruts_probability:.2g}; "
+        f"the soils are of both cases, each as probable as it is; where they are driven on, wheels {will} meet ruts"
+    )
 
 
 def _mass_notes(learned: LearnedSoil) -> list[str]:
