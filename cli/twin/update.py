@@ -194,10 +194,12 @@ def _slip_notes(learned: LearnedSoil) -> list[str]:
 
 def _segment_table(segments: list[Segment]) -> TextTable:
     """Stretches of the way side by side."""
+    from lunarsci.pages.words import percent
+
     columns = []
     for segment in segments:
         left, intervals = segment.belief.sd_ratio, segment.belief.intervals().items()
-        columns.append({name: f"{row[0]:.4g} ({100 * left[name]:.0f} %)" for name, row in intervals})
+        columns.append({name: f"{row[0]:.4g} ({percent(left[name] ** 2)})" for name, row in intervals})
     notes = [
         f"{segment.from_m:.1f} to {segment.to_m:.1f} m: stays at what was believed: {segment.why_not}"
         for segment in segments
@@ -206,5 +208,5 @@ def _segment_table(segments: list[Segment]) -> TextTable:
     notes += [segment.slip_text for segment in segments]
     headers = ["parameter", *(f"{segment.from_m:.1f} to {segment.to_m:.1f} m" for segment in segments)]
     rows = [[name, *(column[name] for column in columns)] for name in columns[0]]
-    title = "Soil of each stretch of the way: median, and in brackets its width, of that before any drive"
+    title = "Soil of each stretch of the way: median, and in brackets the variance left of that before any drive"
     return TextTable(headers, rows, title=title, notes=notes)

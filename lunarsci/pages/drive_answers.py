@@ -23,7 +23,6 @@ from lunarsci.pages.words import (
     words,
 )
 from lunarsci.regolith.columns import short_name
-from lunarsci.result import UNMOVED
 
 
 @answers("The predicted drive", "twin-predict")
@@ -53,8 +52,8 @@ def predicted(result: Result) -> ResultAnswer:
 def _those_that_arrived(result: Result) -> str:
     """The drives that limits and ends are of, where others stopped; '' where all arrived."""
     members = result["members"]
-    arrived = (result.get("outcomes") or {}).get("finished", members)
-    return "" if arrived == members else f"the {arrived} drives that arrived"
+    stopped = sum(count for end, count in (result.get("outcomes") or {}).items() if end != "finished")
+    return f"the {members - stopped} drives that arrived" if stopped else ""
 
 
 def _made_up(result: Result, what: str) -> str:
@@ -249,23 +248,25 @@ def soil_by_place(result: Result) -> ResultAnswer:
 
 
 def like(parameters: Mapping[str, Any]) -> str:
-    """What the ground is like: the parameters that drives tell most of, with 68 %, and what they tell nothing of."""
-    left = {name: float(one["left_of_prior"]) for name, one in parameters.items() if one.get("left_of_prior")}
-    moved = [name for name in sorted(left, key=lambda name: left[name]) if left[name] <= UNMOVED]
-    lines = [
-        f"{quantity(name)} {number(one['median'], 3)} ({number(one['low'], 3)} to {number(one['high'], 3)}"
-        f"{_of_ground(one)})"
-        f"{_after(name)}"
-        for name, one in ((name, parameters[name]) for name in moved[:MOST])
-    ]
-    rest = [quantity(name) for name in left if name not in moved]
-    unmoved = f" Hardly better known than before any drive: {', '.join(rest)}." if rest else ""
-    learned_text = (
-        f"The soil for predictions, median and 68 %: {'; '.join(lines)}."
-        if lines
-        else "No parameter is better known now."
-    )
-    return f"{learned_text}{unmoved}"
+    """What the ground is like: the parameters that drives tell most of, with 68 %, and what they tell of the others."""
+    left = {name: float(one["left_of_prior"]) ** 2 for name, one in parameters.items() if one.get("left_of_prior")}
+    return f"The soil for predictions, median and 68 %: {_best_determined(parameters, left)}"
+
+
+def _best_determined(parameters: Mapping[str, Any], left: Mapping[str, float]) -> str:
+    """Parameters of which least of the prior's variance is left, each with that share, and what is left of the others.
+
+    The share is one measure of learning with no bound between much and little.
+    """
+    order = sorted(left, key=lambda name: left[name])
+    lines = []
+    for name, share in ((name, left[name]) for name in order[:MOST]):
+        one = parameters[name]
+        interval = f"{number(one['low'], 3)} to {number(one['high'], 3)}{_of_ground(one)}"
+        lines.append(f"{quantity(name)} {number(one['median'], 3)}{_after(name)} ({interval}; {percent(share)})")
+    others = [left[name] for name in order[MOST:]]
+    rest = f", of the others {percent(others[0])} to {percent(others[-1])}" if others else ""
+    return f"{', '.join(lines)}. The share in brackets is left of the variance before{rest}."
 
 
 def _of_ground(parameter: Mapping[str, Any]) -> str:
@@ -479,20 +480,8 @@ def soil(result: Result) -> ResultAnswer:
 
 
 def _inferred(joint: Result) -> ResultAnswer:
-    determined = [(name, one) for name, one in joint["parameters"].items() if one["determined"]]
-    lines = [
-        f"{quantity(name)} {number(one['median'], 3)}, {number(one['low'], 3)} to "
-        f"{number(one['high'], 3)} {_unit(name)}"
-        for name, one in determined
-    ]
-    if not lines:
-        return ResultAnswer("These wheel states determine no parameter of the soil better than the priors do.")
-    rest = (
-        " The other parameters are hardly known better than before."
-        if len(determined) < len(joint["parameters"])
-        else ""
-    )
-    return ResultAnswer(f"These wheel states determine, with 68 %: {'; '.join(map(str.strip, lines))}.{rest}")
+    left = {name: (1.0 - float(one["shrinkage"])) ** 2 for name, one in joint["parameters"].items()}
+    return ResultAnswer(f"These wheel states tell, median and 68 %: {_best_determined(joint['parameters'], left)}")
 
 
 def _aspects(result: Result) -> list[Mapping[str, Any]]:

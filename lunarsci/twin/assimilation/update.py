@@ -283,7 +283,7 @@ def assimilate(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveFit:
-    """The most probable soil with ruts, or without, with errors widened to what it leaves; how probable it makes them."""
+    """The most probable soil with ruts, or without, errors widened to what it leaves; how probable it makes them."""
 
     posterior: DrivePosterior
     mode: PosteriorMode
