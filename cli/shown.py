@@ -13,8 +13,8 @@ from lunarsci.options import in_python
 from lunarsci.printable import printable
 from lunarsci.provenance import plain
 
-from .shared.emit import answers_of
-from .shared.table import NOTES, TextTable, render, terminal_width
+from .shared.emit import answers_of, beyond
+from .shared.table import NOTES, TextTable, first_screen, render, terminal_width
 
 if TYPE_CHECKING:
     from lunarsci.result import Result
@@ -29,22 +29,25 @@ SHOWN_BY = {
 """Results whose `result_tables` are not those of the command that their schema names."""
 
 ROWS = 12
-"""Rows of a table that `print` shows, and a notebook before it is unfolded."""
+"""Rows of a table that a notebook shows before it is unfolded."""
 
 
 def as_text(result: Result) -> str:
-    """What the command prints, with what it says on stderr; the plain table where there is no such command."""
+    """What the command shows on a terminal at first, with what it says on stderr; the plain table without such one."""
     tables = _tables(result)
-    text = str(result.to_table()) + "\n" if tables is None else render([*map(_first_rows, tables)], terminal_width())
-    return in_python("\n".join([text, *result.failures, *filter(None, (result.untrusted,))]).rstrip("\n"))
+    if tables is None:
+        return _with_doubts(result, f"{result.to_table()}\n")
+    answers, _ = answers_of(result, result.content(), tables, result.provenance().to_dict(time=False))
+    return _with_doubts(result, first_screen(answers, tables, terminal_width()), answers)
 
 
-def _first_rows(table: TextTable) -> TextTable:
-    """The first rows, and how many more there are."""
-    if (more := table.count - ROWS) <= 0:
-        return table
-    notes = [f"… and {more:,} more rows: to_pandas() has all", *table.notes]
-    return dataclasses.replace(table, rows=table.rows[:ROWS], notes=notes, total=0)
+def as_whole_text(result: Result) -> str:
+    """What the command prints with `--verbose`."""
+    return _with_doubts(result, render(_tables(result) or [_rows_of(result)], terminal_width()))
+
+
+def _with_doubts(result: Result, text: str, answers: Sequence[str] = ()) -> str:
+    return in_python("\n".join([text, *result.failures, beyond(answers, result.untrusted)]).rstrip("\n"))
 
 
 def as_html(result: Result) -> str:
@@ -52,9 +55,8 @@ def as_html(result: Result) -> str:
     tables = _tables(result) or [_rows_of(result)]
     content, record = result.content(), result.provenance().to_dict(time=False)
     answers, _ = answers_of(result, content, tables, record)
-    verdict = result.untrusted.partition(":")[0].casefold()
-    untrusted = "" if any(text.casefold().startswith(verdict) for text in answers) else result.untrusted
-    doubts = [f"<b>{_cell(text)}</b>" for text in (untrusted, *map(str, result.failures[:NOTES])) if text]
+    unsaid = beyond(answers, result.untrusted)
+    doubts = [f"<b>{_cell(text)}</b>" for text in (unsaid, *map(str, result.failures[:NOTES])) if text]
     lines = "".join(f"<p>{line}</p>" for line in (*map(_cell, answers), *doubts))
     main = next((table for table in tables if table.headers), None)
     if main is None:

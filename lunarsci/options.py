@@ -45,17 +45,19 @@ OF_RESULTS = {
     "json": "to_dict()",
     "plot": "plot()",
     "save_map": "map_bytes()",
+    "verbose": "to_text()",
 }
 """What the command line is asked for by an option, and Python has as a method of the result."""
-_FLAG = re.compile(r"(?<![\w-])--([a-z][a-z0-9-]*)(?:[ =]((?=[^ ,;:)]*[\d=A-Z])[^ ,;:)]+|auto|priors))?")
+_VALUE = r"(?=[^ ,;:)]*[\d=A-Z])[^ ,;:)]+(?:,[a-z_]+=[^ ,;:)]+)*|auto|priors"
+_FLAG = re.compile(rf"(?<![\w-])--([a-z][a-z0-9-]*)(?:[ =]({_VALUE}))?")
 _WRITTEN = re.compile(r"(?<![\w-])-o [A-Z][A-Z.a-z]*")
 
 
 def in_python(text: str) -> str:
     """A text with options as Python has them, not as they are typed, but in commands between backticks.
 
-    >>> in_python("give `rover` (--units sinkage_m=mm); `twin plan --risk` is at most --max-slope 89: --csv")
-    'give `rover` (units="sinkage_m=mm"); `twin plan --risk` is at most max_slope=89: to_pandas()'
+    >>> in_python("give `rover` (--units sinkage_m=mm,slip_ratio=%); `twin plan --risk` up to --max-slope 89: --csv")
+    'give `rover` (units="sinkage_m=mm,slip_ratio=%"); `twin plan --risk` up to max_slope=89: to_pandas()'
     """
 
     def worded(flag: re.Match[str]) -> str:

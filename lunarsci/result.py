@@ -159,8 +159,8 @@ FIRST = 4
 class Result(ABC):
     """What a job found; a job's own result says `to_dict`, `rows`, `figures`, `made_from` and `doubt`.
 
-    `print` shows the text of its command, a notebook answer, table and picture; `len` and an index, or a name, give its
-    rows, one of each thing. Two are equal where `to_json(time=False)` is.
+    `print` shows the first screen of its command, a notebook answer, table and picture; `len` and an index, or a name,
+    give its rows, one of each thing. Two are equal where `to_json(time=False)` is.
 
     Of many things alike it has `content` instead of `to_dict`, and gives their `Records` there and as `rows`.
 
@@ -234,6 +234,11 @@ class Result(ABC):
 
     def __str__(self) -> str:
         text: str = self.renderer().as_text(self) if self.renderer else str(self.to_table())
+        return text
+
+    def to_text(self) -> str:
+        """All that its command prints with `--verbose`; `print` shows the first screen of it."""
+        text: str = self.renderer().as_whole_text(self) if self.renderer else str(self.to_table())
         return text
 
     @property

@@ -6,12 +6,14 @@ import importlib
 import inspect
 import io
 import json
+import math
 import pickle
 import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -22,7 +24,7 @@ from astropy import units
 from astropy.table import QTable
 from lunarsci.cli import command_line, main
 from lunarsci.cli.shared.command import command
-from lunarsci.cli.shared.emit import Report
+from lunarsci.cli.shared.emit import Report, answers_of
 from lunarsci.cli.shared.options import option
 from matplotlib.figure import Figure
 from typer.testing import CliRunner
@@ -277,10 +279,19 @@ def test_a_warning_points_once_at_the_line_of_the_user_and_is_kept() -> None:
 def test_a_result_prints_as_its_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["regolith", "forces", "--sinkage", "0.01", "--slip", "0.2"]) == 0
     found = lunarsci.wheel_forces(sinkage=0.01, slip=0.2)
-    assert f"{found}\n" == capsys.readouterr().out
+    assert f"{found.to_text()}\n" == capsys.readouterr().out
+    assert found.to_text() in str(found)
     html = found._repr_html_()
     assert "<th>" in html and "drawbar pull" in html
     assert len(repr(found)) < 200
+
+
+def test_a_sentence_has_no_number_that_is_none() -> None:
+    medians = {"slip_ratio": {"median": 0.1}, "sinkage_m": {"median": math.nan}}
+    content = {"wheels": {"FL": medians}, "distance_m": 1.0, "duration_s": 20.0}
+    result: Any = SimpleNamespace(schema="twin-states/1", untrusted="", failures=())
+    (sentence,), _ = answers_of(result, content, [], {})
+    assert "Sinkage was not measured" in sentence and "nan" not in sentence
 
 
 PNG = re.compile('<img src="data:image/png;base64,([^"]+)"')

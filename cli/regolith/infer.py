@@ -96,21 +96,22 @@ def result_tables(soil: InferredSoil) -> list[TextTable]:
 
 def _joint_tables(soil: InferredSoil) -> list[TextTable]:
     """Parameters with their intervals, what is known of combinations, laws compared, forces predicted."""
+    from lunarsci.pages.words import percent
+
     posterior = soil.posterior
     ends = posterior.intervals()
     rows = []
     for name in posterior.names:
         label, unit = LABELS[name]
         median, low, high, low95, high95 = ends[name]
-        left = f"{100 * (1 - posterior.shrinkage[name]):.0f} %"
-        how = "laws differ" if name in posterior.disputed else "determined" if name in posterior.determined else left
+        how = percent((1 - posterior.shrinkage[name]) ** 2) + (", laws differ" if name in posterior.disputed else "")
         ranges = [f"{significant(one)} to {significant(other)}" for one, other in ((low, high), (low95, high95))]
         rows.append([label, significant(median), *ranges, unit, how])
     notes = [*_fit(posterior), *_combinations(posterior), OTHERS, *read_as(soil)]
     if posterior.outliers:
         notes.append(f"left out as outliers: {', '.join(posterior.outliers)}")
     title = f"The soil of all {wheel_text(soil)}, intervals {HOW[posterior.how]}"
-    headers = ["parameter", "median", "68 %", "95 %", "unit", "width left of the prior's"]
+    headers = ["parameter", "median", "68 %", "95 %", "unit", "variance left"]
     table = TextTable(headers, rows, title=title, notes=notes)
     return [table, *_laws(soil), *_predicted(soil)]
 
@@ -166,6 +167,6 @@ def _combinations(posterior: SoilPosterior) -> Sequence[str]:
             terms = [f"{value:+.1f} {name}" for name, value in weights.items() if abs(value) > SHOWN_WEIGHT]
             lines.append(
                 f"well-known combination: {' '.join(terms)}, each over its prior's error; "
-                f"known to {100 * left:.0f} % of the prior's"
+                f"known to {100 * left:.0f} % of the prior's width"
             )
     return lines

@@ -163,7 +163,7 @@ def emit(report: Report, output: Output, provenance: Provenance) -> int:
         say(f"error: {failure}")
     if report.failures:
         say(_counted(report, output.failed))
-    for remark in filter(None, (report.untrusted, doubt)):
+    for remark in filter(None, (beyond(_first_answers(report, output, record), report.untrusted), doubt)):
         say(remark)
     return report.exit_code or (UNTRUSTED if doubt else 0)
 
@@ -214,9 +214,9 @@ def answers_of(
     from lunarsci.pages.answers import answer, answered
     from lunarsci.pages.documents import Document
 
-    made = Document("", result.schema, content, record)
     many = max(len(content.get(name, ())) for name in ("spectra", "rocks"))
-    if answered(made.kind) is None or many > MOST_ANSWERED:
+    made = Document("", result.schema, {} if many > MOST_ANSWERED else plain(content), record)
+    if not made.result or answered(made.kind) is None:
         return [], []
     verdicts: list[str] = []
     if 0 < len(content.get("spectra", ())) <= MOST_VERDICTS:
@@ -269,11 +269,25 @@ def _as_text(report: Report, output: Output, record: Mapping[str, Any]) -> Itera
     tables = chosen(tables, report.rows_with(output.chosen), output.chosen) if output.chosen else tables
     if output.wanted != "text":
         return [FORMATS[output.wanted](tables).encode()]
-    to_file = output.path is not None and not output.folder and not report.written
-    if on_terminal() and not (to_file or output.verbose or output.chosen):
-        answers, _ = answers_of(report.result, report.content, report.shown, record)
+    if (answers := _first_answers(report, output, record)) is not None:
         return [first_screen(answers, tables, terminal_width()).encode()]
+    to_file = output.path is not None and not output.folder and not report.written
     return [render(tables, 0 if to_file else terminal_width(), keep=bool(output.chosen)).encode()]
+
+
+def _first_answers(report: Report, output: Output, record: Mapping[str, Any]) -> list[str] | None:
+    """What a first screen begins with; None where all is shown, or something else than text."""
+    to_file = output.path is not None and not output.folder and not report.written
+    other = output.wanted != "text" or output.field_path is not None or report.raw is not None
+    if not on_terminal() or to_file or other or output.verbose or output.chosen:
+        return None
+    return answers_of(report.result, report.content, report.shown, record)[0]
+
+
+def beyond(answers: Sequence[str] | None, doubt: str) -> str:
+    """A doubt that the answers do not begin with; '' where they do."""
+    verdict = doubt.partition(":")[0].casefold().replace("-", " ")
+    return "" if any(one.casefold().replace("-", " ").startswith(verdict) for one in answers or ()) else doubt
 
 
 def field_of(report: Report, path: str, whole: Mapping[str, Any]) -> tuple[str, str]:

@@ -296,13 +296,13 @@ def _wrapped(table: TextTable, width: int) -> TextTable:
 
 
 def wrapped(text: str, width: int) -> list[str]:
-    """Lines of at most `width` characters; what follows the first is set in by two more blanks."""
+    """Lines of at most `width` characters, 0: never cut; what follows the first is set in by two more blanks."""
     lines = []
     for line in text.split("\n"):
         blanks = " " * (len(line) - len(line.lstrip()))
         words = printable(line.strip())
         lines += textwrap.wrap(
-            words, width, initial_indent=blanks, subsequent_indent=f"{blanks}  ", break_on_hyphens=False
+            words, width or _NEVER_CUT, initial_indent=blanks, subsequent_indent=f"{blanks}  ", break_on_hyphens=False
         ) or [""]
     return lines
 
@@ -475,8 +475,8 @@ def to_csv(rows: Sequence[Mapping[str, Any]]) -> Iterator[bytes]:
     yield text.getvalue().encode()
 
 
-def chosen_csv(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> Iterator[bytes]:
-    """Some columns of that CSV, in their order. Raises RequestError for one that is not there."""
+def chosen_csv(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> list[bytes]:
+    """Some columns of that CSV, in their order. RequestError for one that is not there, before any is written."""
     reader = csv.reader(io.StringIO(b"".join(to_csv(rows)).decode()))
     names = next(reader)
     try:
@@ -486,7 +486,7 @@ def chosen_csv(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> Ite
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerows([row[k] for k in places] for row in (names, *reader))
-    yield text.getvalue().encode()
+    return [text.getvalue().encode()]
 
 
 def _cell(value: Any) -> Any:

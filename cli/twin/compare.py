@@ -147,7 +147,7 @@ def _tables(compared: ComparedDrive) -> list[TextTable]:
     matched, judged, states = compared.matched, compared.comparison, compared.states
     forecast, pace = matched.forecast, compared.pace
     drives = (
-        f"{judged.finished} of {judged.members} drives"
+        f"{judged.finished} of {judged.members} drives that arrived"
         if judged.finished < judged.members
         else f"{judged.members} drives"
     )

@@ -167,16 +167,18 @@ def _distance_table(names: tuple[str, str], distance: BeliefDistance) -> TextTab
 
 def parameter_table(rows: Mapping[str, Mapping[str, float]], title: str, notes: Sequence[str] = ()) -> TextTable:
     """Effective values and the ground's own of each parameter, from `parameter_rows`."""
+    from lunarsci.pages.words import percent
+
     cells = [
         [
             name,
             f"{row['median']:.4g}",
             *(f"{significant(row[low])} to {significant(row[high])}" for low, high in ENDS),
-            f"{100 * row['left_of_prior']:.0f} %",
+            percent(row["left_of_prior"] ** 2),
         ]
         for name, row in rows.items()
     ]
-    headers = ["effective value", "median", "68 %", "ground's own 68 %", "width, of before any drive"]
+    headers = ["effective value", "median", "68 %", "ground's own 68 %", "variance left"]
     return TextTable(headers, cells, title=title, notes=notes)
 
 

@@ -200,9 +200,11 @@ def _round_table(turned: dict[str, Any]) -> TextTable:
 
 
 def _soil_table(parameters: dict[str, dict[str, float]]) -> TextTable:
+    from lunarsci.pages.words import percent
+
     rows = [
-        [name, *(f"{row[key]:.4g}" for key in ("median", "low", "high")), f"{100 * row['left_of_prior']:.0f} %"]
+        [name, *(f"{row[key]:.4g}" for key in ("median", "low", "high")), percent(row["left_of_prior"] ** 2)]
         for name, row in parameters.items()
     ]
-    headers = ["parameter", "median", "68 % from", "to", "left of the prior"]
+    headers = ["parameter", "median", "68 % from", "to", "variance left"]
     return TextTable(headers, rows, title="The soil after the last round")

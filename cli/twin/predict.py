@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -41,7 +42,7 @@ NEXT = (
 )
 ONE_SOIL = "on this one soil; it says nothing of others: --soil priors --members 64"
 HEADERS = (
-    "quantity (worst of each drive)",
+    "quantity (worst of {drives})",
     "p50",
     "{share} of drives",
     "worst",
@@ -143,7 +144,8 @@ def _verdict_tables(predicted: PredictedDrives) -> list[TextTable]:
         _worst_note(verdict),
     ]
     share = verdict.limits[0].share if verdict.limits else 0.95
-    headers = [header.format(share=f"{100 * share:g} %") for header in HEADERS]
+    of = "each drive" if verdict.arrived == verdict.members else f"{verdict.arrived} that arrived"
+    headers = [header.format(share=f"{100 * share:g} %", drives=of) for header in HEADERS]
     if prediction.members == 1:
         headers, *rows = ([row[0], *row[3:]] for row in (headers, *rows))
     return [TextTable(headers, rows, title=title, notes=notes)]
@@ -153,13 +155,18 @@ def _limit_row(limit: Judgement) -> list[str]:
     name, unit, factor = QUANTITIES.get(limit.quantity, (limit.quantity, limit.unit, 1.0))
     return [
         name,
-        *(f"{factor * value:.3g}" for value in (limit.p50, limit.kept, limit.worst)),
+        *(_cell(factor * value) for value in (limit.p50, limit.kept, limit.worst)),
         f"{'≤' if limit.sense == 'at most' else '≥'} {factor * limit.limit:.4g}",
-        f"{factor * limit.margin:.3g}",
+        _cell(factor * limit.margin),
         unit,
-        "ok" if limit.ok else "broken",
+        "ok" if limit.ok else "broken" if math.isfinite(limit.judged) else "unknown",
         "assumed" if limit.assumed else "rover" if limit.source.startswith("the rover's") else "plan",
     ]
+
+
+def _cell(value: float) -> str:
+    """A number; a clearance over ground of unknown height is none."""
+    return f"{value:.3g}" if math.isfinite(value) else "-"
 
 
 def _energy_notes(predicted: PredictedDrives) -> list[str]:
@@ -236,12 +243,15 @@ def _keep_out_notes(verdict: Verdict) -> list[str]:
 
 
 def _endpoint_notes(verdict: Verdict) -> list[str]:
+    from lunarsci.twin.judgement.safety import arrivals
+
     end = verdict.endpoint
     if end is None:
         return []
     along, across = "far" if end.ahead_m > 0 else "short", "left" if end.left_m > 0 else "right"
+    some = "" if verdict.arrived == verdict.members else f" of {arrivals(verdict.arrived, verdict.members)}"
     notes = [
-        f"ends: mean {end.bias_m:.3f} m from the destination ({abs(end.ahead_m):.3f} m too {along}, "
+        f"ends{some}: mean {end.bias_m:.3f} m from the destination ({abs(end.ahead_m):.3f} m too {along}, "
         f"{abs(end.left_m):.3f} m to the {across}), "
         f"all within {end.covering_radius_m:.3f} m of it, within {end.scatter_radius_m:.3f} m of each other's middle"
     ]

@@ -19,6 +19,7 @@ from .options import AS_WRITTEN, GRAVITY, HEIGHT_UNIT, INTERPOLATION, ROVER, TER
 
 if TYPE_CHECKING:
     from lunarsci.twin.assimilation.segments import Segment
+    from lunarsci.twin.assimilation.update import SoilUpdate
     from lunarsci.twin.jobs.update import LearnedSoil
 
 
@@ -146,8 +147,7 @@ def _notes(learned: LearnedSoil) -> list[str]:
         *learned.before.cautions(update),
         *_slip_notes(learned),
     ]
-    if update.prediction.ruts:
-        notes.append("wheels that follow met the ruts of those before them; so they will where this soil is driven on")
+    notes.append(_rut_note(update))
     for name, factor in update.inflation.items():
         notes.append(f"errors of {name} are taken {factor:.1f} times as large: no soil explains it better")
     for name, size in update.wheel_errors.items():
@@ -158,6 +158,15 @@ def _notes(learned: LearnedSoil) -> list[str]:
     if not update.settled:
         notes.append("the soils have not spread out; take more particles, or intervals are too narrow")
     return [*notes, *_mass_notes(learned), EFFECTIVE]
+
+
+def _rut_note(update: SoilUpdate) -> str:
+    """How surely wheels ran in the ruts of others, and what that means for predictions."""
+    will = "will" if update.prediction.ruts else "will not"
+    return (
+        f"wheels that follow met the ruts of those before them with a probability of {update.ruts_probability:.2g}; "
+        f"the soils are of both cases, each as probable as it is; where they are driven on, wheels {will} meet ruts"
+    )
 
 
 def _mass_notes(learned: LearnedSoil) -> list[str]:
@@ -185,10 +194,12 @@ def _slip_notes(learned: LearnedSoil) -> list[str]:
 
 def _segment_table(segments: list[Segment]) -> TextTable:
     """Stretches of the way side by side."""
+    from lunarsci.pages.words import percent
+
     columns = []
     for segment in segments:
         left, intervals = segment.belief.sd_ratio, segment.belief.intervals().items()
-        columns.append({name: f"{row[0]:.4g} ({100 * left[name]:.0f} %)" for name, row in intervals})
+        columns.append({name: f"{row[0]:.4g} ({percent(left[name] ** 2)})" for name, row in intervals})
     notes = [
         f"{segment.from_m:.1f} to {segment.to_m:.1f} m: stays at what was believed: {segment.why_not}"
         for segment in segments
@@ -197,5 +208,5 @@ def _segment_table(segments: list[Segment]) -> TextTable:
     notes += [segment.slip_text for segment in segments]
     headers = ["parameter", *(f"{segment.from_m:.1f} to {segment.to_m:.1f} m" for segment in segments)]
     rows = [[name, *(column[name] for column in columns)] for name in columns[0]]
-    title = "Soil of each stretch of the way: median, and in brackets its width, of that before any drive"
+    title = "Soil of each stretch of the way: median, and in brackets the variance left of that before any drive"
     return TextTable(headers, rows, title=title, notes=notes)

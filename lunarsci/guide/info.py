@@ -48,6 +48,7 @@ from lunarsci.spectra.readers.columns import is_wavelength
 from lunarsci.spectra.readers.dispatch import read_spectra, recognised
 from lunarsci.spectra.readers.pds import is_pds_label, read_pds_label
 from lunarsci.spectra.readers.table import MAX_PERCENT
+from lunarsci.units import columns_by_unit
 
 CAMERA_LABEL = re.compile(r"\bMODEL_COMPONENT_1\s*=|_point_observe_vector>|<(?:\w+:)?CAHV\w*_Model>", re.IGNORECASE)
 INSTRUMENT = re.compile(
@@ -453,12 +454,12 @@ def states_named_otherwise(columns: Sequence[str]) -> list[str]:
 
 def telemetry_named_otherwise(columns: Sequence[str]) -> list[str]:
     """Columns of telemetry and positions that are there by names of ROS, or in other units."""
-    from lunarsci.twin.telemetry.reading import named_columns, ros_names
+    from lunarsci.twin.telemetry.reading import ros_names
 
     ros = ros_names(list(columns))
     if not any(name.startswith("angle_") for name in ros):  # places, whichever way the rover looks
         ros = [name for name in ros if name != "yaw_deg"]
-    return ros + [name for name in named_columns(list(columns)) if name not in columns]
+    return ros + [name for name in columns_by_unit(list(columns)) if name not in columns]
 
 
 def camera_contents(file: InputFile) -> Mapping[str, Any]:

@@ -21,7 +21,7 @@ from lunarsci.compiled import compiled, each_in_threads
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.images import Law
 from lunarsci.images.camera import Camera, Pose, StereoRig
-from lunarsci.io.tables import numbers_of, read_csv_table
+from lunarsci.io.tables import in_units, numbers_of, read_csv_table
 from lunarsci.ranges import refuse
 from lunarsci.result import Progress
 from lunarsci.sun import upward
@@ -204,7 +204,7 @@ def with_track(landscape: Landscape, places_m: FloatArray, depth_m: FloatArray, 
 
 def read_track(source: str) -> tuple[FloatArray, FloatArray]:
     """Places (p, 2) and depths (p,) of a track from CSV: x_m, y_m, and rut_m or sinkage_m. [m] Raises DataError."""
-    table = read_csv_table(source)
+    table = in_units(source, read_csv_table(source))
     depth = next((name for name in ("rut_m", "sinkage_m") if name in table), None)
     if depth is None or not {"x_m", "y_m"} <= set(table.columns):
         raise DataError(f"{source}: a track needs the columns x_m, y_m, and rut_m or sinkage_m")

@@ -23,6 +23,7 @@ from lunarsci.errors import DataError, warn
 from lunarsci.io.inputs import BEGINNING, InputFile, InputStream, csv_rows, open_input, read_input, text
 from lunarsci.io.records import Codes, Records
 from lunarsci.provenance import sha256
+from lunarsci.units import columns_by_unit
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -262,6 +263,19 @@ def numbers_of(name: str, column: str, cells: "pd.Series") -> FloatArray:
     if len(wrong):
         raise DataError(f"{name}, row {int(wrong.index[0]) + 1}, {column}: '{wrong.iloc[0]}' is no number")
     return numbers.to_numpy(float)
+
+
+def in_units(file: str, table: "pd.DataFrame") -> "pd.DataFrame":
+    """A table of text with the columns that are meant in place of those that name another unit: x_m for x_mm.
+
+    Raises DataError for text among numbers.
+    """
+    for meant, (name, size) in columns_by_unit([*map(str, table.columns)]).items():
+        if meant not in table:
+            values = size * numbers_of(file, name, table[name])
+            table = table.assign(**{name: ["" if np.isnan(one) else repr(float(one)) for one in values]})
+            table = table.rename(columns={name: meant})
+    return table
 
 
 def check_columns(

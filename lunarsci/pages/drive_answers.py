@@ -23,7 +23,6 @@ from lunarsci.pages.words import (
     words,
 )
 from lunarsci.regolith.columns import short_name
-from lunarsci.result import UNMOVED
 
 
 @answers("The predicted drive", "twin-predict")
@@ -37,16 +36,24 @@ def predicted(result: Result) -> ResultAnswer:
     if not go:
         return ResultAnswer(f"No-go for {drive}: {'; '.join(_broken(result)) or 'a limit is broken'}.", STOP)
     broken = max((int(one.get("exceeding") or 0) for one in result["limits"]), default=0)
+    some = _those_that_arrived(result)
+    of = some or counted(members, "predicted drive")
     limits_text = (
-        f"a limit is broken by {broken} of {counted(members, 'predicted drive')}, fewer than one in twenty"
-        if broken
-        else f"all limits are kept in {counted(members, 'predicted drive')}"
+        f"a limit is broken by {broken} of {of}, fewer than one in twenty" if broken else f"all limits are kept in {of}"
     )
     tight = max((one for one in result["limits"] if one.get("limit")), key=_used, default=None)
     near = f"; nearest to its limit comes the {quantity(tight['quantity'])}, {_of_limit(tight)}" if tight else ""
     end = result.get("endpoint")
-    where = f" All drives end within {number(end['covering_radius_m'], 2)} m of the destination." if end else ""
+    who = some.capitalize() or "All drives"
+    where = f" {who} end within {number(end['covering_radius_m'], 2)} m of the destination." if end else ""
     return ResultAnswer(f"Go for {drive}: {limits_text}{near}.{where}{_made_up(result, 'verdict')}", GO)
+
+
+def _those_that_arrived(result: Result) -> str:
+    """The drives that limits and ends are of, where others stopped; '' where all arrived."""
+    members = result["members"]
+    stopped = sum(count for end, count in (result.get("outcomes") or {}).items() if end != "finished")
+    return f"the {members - stopped} drives that arrived" if stopped else ""
 
 
 def _made_up(result: Result, what: str) -> str:
@@ -61,10 +68,11 @@ def _made_up(result: Result, what: str) -> str:
 
 def _broken(result: Result) -> list[str]:
     """Why it is no go: limits that are broken, then reasons that are of no limit, as the command says them."""
-    broken = [one for one in result["limits"] if one.get("ok") is False and one.get("p95") is not None]
+    among = _those_that_arrived(result) or "the drives"
+    broken = [one for one in result["limits"] if one.get("ok") is False and None not in (one["p05"], one["p95"])]
     names = [str(one["quantity"]) for one in broken]
     lines = [
-        f"the {quantity(one['quantity'])} is {_reached(one)} in 95 % of the drives, {_bound(one)} is allowed"
+        f"the {quantity(one['quantity'])} is {_reached(one)} in 95 % of {among}, {_bound(one)} is allowed"
         for one in broken
     ]
     return lines + [str(text) for text in result.get("reasons", ()) if str(text).partition(":")[0] not in names]
@@ -240,23 +248,25 @@ def soil_by_place(result: Result) -> ResultAnswer:
 
 
 def like(parameters: Mapping[str, Any]) -> str:
-    """What the ground is like: the parameters that drives tell most of, with 68 %, and what they tell nothing of."""
-    left = {name: float(one["left_of_prior"]) for name, one in parameters.items() if one.get("left_of_prior")}
-    moved = [name for name in sorted(left, key=lambda name: left[name]) if left[name] <= UNMOVED]
-    lines = [
-        f"{quantity(name)} {number(one['median'], 3)} ({number(one['low'], 3)} to {number(one['high'], 3)}"
-        f"{_of_ground(one)})"
-        f"{_after(name)}"
-        for name, one in ((name, parameters[name]) for name in moved[:MOST])
-    ]
-    rest = [quantity(name) for name in left if name not in moved]
-    unmoved = f" Hardly better known than before any drive: {', '.join(rest)}." if rest else ""
-    learned_text = (
-        f"The soil for predictions, median and 68 %: {'; '.join(lines)}."
-        if lines
-        else "No parameter is better known now."
-    )
-    return f"{learned_text}{unmoved}"
+    """What the ground is like: the parameters that drives tell most of, with 68 %, and what they tell of the others."""
+    left = {name: float(one["left_of_prior"]) ** 2 for name, one in parameters.items() if one.get("left_of_prior")}
+    return f"The soil for predictions, median and 68 %: {_best_determined(parameters, left)}"
+
+
+def _best_determined(parameters: Mapping[str, Any], left: Mapping[str, float]) -> str:
+    """Parameters of which least of the prior's variance is left, each with that share, and what is left of the others.
+
+    The share is one measure of learning with no bound between much and little.
+    """
+    order = sorted(left, key=lambda name: left[name])
+    lines = []
+    for name, share in ((name, left[name]) for name in order[:MOST]):
+        one = parameters[name]
+        interval = f"{number(one['low'], 3)} to {number(one['high'], 3)}{_of_ground(one)}"
+        lines.append(f"{quantity(name)} {number(one['median'], 3)}{_after(name)} ({interval}; {percent(share)})")
+    others = [left[name] for name in order[MOST:]]
+    rest = f", of the others {percent(others[0])} to {percent(others[-1])}" if others else ""
+    return f"{', '.join(lines)}. The share in brackets is left of the variance before{rest}."
 
 
 def _of_ground(parameter: Mapping[str, Any]) -> str:
@@ -470,20 +480,8 @@ def soil(result: Result) -> ResultAnswer:
 
 
 def _inferred(joint: Result) -> ResultAnswer:
-    determined = [(name, one) for name, one in joint["parameters"].items() if one["determined"]]
-    lines = [
-        f"{quantity(name)} {number(one['median'], 3)}, {number(one['low'], 3)} to "
-        f"{number(one['high'], 3)} {_unit(name)}"
-        for name, one in determined
-    ]
-    if not lines:
-        return ResultAnswer("These wheel states determine no parameter of the soil better than the priors do.")
-    rest = (
-        " The other parameters are hardly known better than before."
-        if len(determined) < len(joint["parameters"])
-        else ""
-    )
-    return ResultAnswer(f"These wheel states determine, with 68 %: {'; '.join(map(str.strip, lines))}.{rest}")
+    left = {name: (1.0 - float(one["shrinkage"])) ** 2 for name, one in joint["parameters"].items()}
+    return ResultAnswer(f"These wheel states tell, median and 68 %: {_best_determined(joint['parameters'], left)}")
 
 
 def _aspects(result: Result) -> list[Mapping[str, Any]]:

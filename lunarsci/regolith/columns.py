@@ -13,10 +13,11 @@ wheel drives, and the second one while it skids (Ding et al. 2024, 10.1038/s4146
 """
 
 import hashlib
+import math
 import re
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -193,6 +194,7 @@ class NamedColumns:
     read_as : what was converted, and by what.
     unitless : columns that name no unit.
     answered : columns whose unit the option has said.
+    sizes : sizes of the units that columns were read in, in those of the names here; 1 where missing.
     questions : what to ask of a column that names no unit.
     written : names in the file of columns that were renamed, by their own.
     """
@@ -203,29 +205,55 @@ class NamedColumns:
     answered: tuple[str, ...] = ()
     questions: tuple[Question, ...] = ()
     written: Mapping[str, str] = field(default_factory=dict)
+    sizes: Mapping[str, float] = field(default_factory=dict)
 
 
-def asked_units(units: str) -> dict[str, str]:
-    """Units by column, of `COLUMN=UNIT` with commas between; `sinkage_m=+0.004` adds so many metres to it.
+class ColumnAnswer(NamedTuple):
+    """How the option says that a column is read; each part changes what the column's name says of that part alone.
 
-    >>> asked_units("normal_force_n=kN, slip_ratio=travel")
-    {'normal_force_n': 'kn', 'slip_ratio': 'travel'}
+    Attributes
+    ----------
+    unit : in lower case, or `rim`, `travel`, `load`; '' for that of the name.
+    sign : by which its numbers are multiplied. [-]
+    shift : what is added to them then, in the unit of the name here.
+    """
+
+    unit: str = ""
+    sign: float = 1.0
+    shift: float = 0.0
+
+    def and_(self, other: "ColumnAnswer") -> "ColumnAnswer":
+        """Both answers of one column."""
+        return ColumnAnswer(other.unit or self.unit, self.sign * other.sign, self.shift + other.shift)
+
+
+ANSWER = re.compile(r"(-1?(?![\d.]|e-?\d))?([a-z%]*)([+-](?:\d+\.?\d*|\.\d+)(?:e-?\d+)?)?")
+"""Of a column: its sign turned, its unit, and what is added in the unit of its name here."""
+
+
+def asked_units(units: str) -> dict[str, ColumnAnswer]:
+    """Answers by column, of `COLUMN=UNIT` with commas between: `sinkage_m=+0.004` adds metres, `=-1` turns a sign.
+
+    Several of one column count together.
+
+    >>> asked_units("slip_ratio=travel, sinkage_m=mm, sinkage_m=-0.01, drawbar_pull_n=-1")["sinkage_m"]
+    ColumnAnswer(unit='mm', sign=1.0, shift=-0.01)
 
     Raises RequestError.
     """
-    result: dict[str, str] = {}
+    result: dict[str, ColumnAnswer] = {}
     units_of = {quantity.column: [*quantity.units] for quantity in QUANTITIES}
     units_of["drawbar_pull_n"] += [OVER_LOAD]
     units_of["slip_ratio"] += [RIM, TRAVEL]
     for part in filter(None, (one.strip() for one in units.split(","))):
-        column, _, unit = (word.strip() for word in part.partition("="))
-        shift = column == "sinkage_m" and re.fullmatch(r"[+-]\d*\.?\d+(e-?\d+)?", unit)
-        if unit.lower() not in units_of.get(column, ()) and not shift:
-            other = (
-                one_of(unit, units_of[column]) if column in units_of else f"{one_of(column, units_of)}, = and its unit"
-            )
-            raise RequestError(f"`units` '{part}': {other}")
-        result[column] = unit.lower()
+        column, _, answer = (word.strip() for word in part.partition("="))
+        parts = ANSWER.fullmatch(answer.lower())
+        if column not in units_of:
+            raise RequestError(f"`units` '{part}': {one_of(column, units_of)}, = and its unit")
+        if not answer or not parts or parts[2] not in ("", *units_of[column]):
+            raise RequestError(f"`units` '{part}': {one_of(answer, units_of[column])}")
+        new = ColumnAnswer(parts[2], -1.0 if parts[1] else 1.0, float(parts[3] or 0.0))
+        result[column] = result.get(column, ColumnAnswer()).and_(new)
     return result
 
 
@@ -235,43 +263,69 @@ def named_columns(file: str, table: "pd.DataFrame", names: Sequence[str], units:
     `names` are those of lunarsci. Raises RequestError for units that are none, DataError for two columns of one
     quantity.
     """
-    asked, source = asked_units(units), dict[str, str]()
+    asked, source, sizes = asked_units(units), dict[str, str](), dict[str, float]()
     table = with_row_of_units(table)
     meanings = {str(name): of_name(str(name)) for name in table.columns if name not in names}
     columns = {name: what for name, what in meanings.items() if what and what.target not in table.columns}
     plain = (ColumnMeaning(name, "", sigma) for name in asked for sigma in (False, True))
     columns |= {one.target: one for one in plain if one.target in table}
     notes, done = list[str](), table.copy()
-    for name, what in columns.items():
+    answers = {name: asked.get(what.column, ColumnAnswer()) for name, what in columns.items()}
+    for name, written in columns.items():
+        what, answer = _read_as(written, answers[name].unit), answers[name]
         if other := source.get(what.target):
             raise DataError(f"{file}: columns '{other}' and '{name}' are both {what.target}; keep the right one")
         source[what.target] = name
-        unit = asked.get(what.column, what.unit)
-        values = what.scale * numbers_of(file, name, table[name])
+        size = what.scale * _units_of(what).get(what.unit, 1.0)
+        sizes |= {what.target: size} if what.unit in _units_of(what) else {}
+        values = (1.0 if what.sigma else answer.sign) * numbers_of(file, name, table[name])
         done = done.rename(columns={name: what.target})
-        if unit != OVER_LOAD or what.scale != 1.0:
-            done[what.target] = _cells(_converted(what, unit, values))
-        how = HOW.get(unit, f", from {unit}")
-        notes.append(f"column '{name}' as {what.target}{how}{'' if what.unit else f' ({OPTION})'}")
-    for what in (what for what in columns.values() if asked.get(what.column, what.unit) == OVER_LOAD):
+        done[what.target] = _cells(_converted(what, size * values))
+        how = HOW.get(what.unit, f", from {what.unit}") + (", its sign turned" if answer.sign < 0 else "")
+        how += f", {answer.shift:+g}" if answer.shift else ""
+        by_name = written.unit and answer == ColumnAnswer()
+        notes.append(f"column '{name}' as {what.target}{how}{'' if by_name else f' ({OPTION})'}")
+    for what in (one for name, one in columns.items() if (answers[name].unit or one.unit) == OVER_LOAD):
         if "normal_force_n" not in done:
             raise DataError(f"{file}: no column normal_force_n, of which '{source[what.target]}' is a share; add it")
         load, share = (numbers_of(file, name, done[name]) for name in ("normal_force_n", what.target))
         done[what.target] = _cells(load * share)
-    unitless = [what.column for what in columns.values() if not what.unit and not what.sigma]
-    open_ones = tuple(one for one in unitless if one not in asked)
-    return NamedColumns(done, tuple(notes), open_ones, tuple(asked), written=source)
+    for name, what in columns.items():
+        if answers[name].shift and not what.sigma:
+            done[what.target] = _cells(numbers_of(file, name, done[what.target]) + answers[name].shift)
+    answered = tuple(column for column, answer in asked.items() if answer.unit)
+    unitless = [one.column for name, one in columns.items() if not one.unit and not one.sigma and name != one.target]
+    open_ones = tuple(one for one in unitless if one not in answered)
+    return NamedColumns(done, tuple(notes), open_ones, answered, written=source, sizes=sizes)
 
 
-def _converted(what: ColumnMeaning, unit: str, values: FloatArray) -> FloatArray:
-    """Values (n,) in the unit of the column's name; a share of the load stays one, and +0.01 moves the zero."""
-    if unit in (TRAVEL, RIM):
-        return values if what.sigma else (by_travel(values) if unit == TRAVEL else by_rim(values))
-    if unit == OVER_LOAD:
+def _units_of(what: ColumnMeaning) -> Mapping[str, float]:
+    return next(one.units for one in QUANTITIES if one.column == what.column)
+
+
+def _read_as(written: ColumnMeaning, unit: str) -> ColumnMeaning:
+    """What a column is where the option says its unit; a slip's definition leaves it in per cent."""
+    per_cent = unit in (TRAVEL, RIM) and written.unit in SHARES
+    scale = written.scale * (SHARES[written.unit] if per_cent else 1.0)
+    return replace(written, unit=unit or written.unit, scale=scale)
+
+
+def _converted(what: ColumnMeaning, values: FloatArray) -> FloatArray:
+    """Values (n,) by the definition here, of those by that of the column."""
+    if what.sigma or what.unit not in (TRAVEL, RIM):
         return values
-    if re.fullmatch(r"[+-].*", unit):
-        return values if what.sigma else values + float(unit)
-    return values * next(one.units for one in QUANTITIES if one.column == what.column).get(unit, 1.0)
+    return by_travel(values) if what.unit == TRAVEL else by_rim(values)
+
+
+def unit_of_size(column: str, size: float) -> str:
+    """The unit that a column may be in with a size in that of its name, as users write it; '' where none has it.
+
+    >>> unit_of_size("normal_force_n", 1000.0), unit_of_size("sinkage_m", 1e3)
+    ('kN', '')
+    """
+    units = next(one.units for one in QUANTITIES if one.column == column)
+    name = next((name for name, one in units.items() if math.isclose(one, size, rel_tol=1e-6)), "")
+    return {"n": "N", "kn": "kN", "mn": "mN"}.get(name, name)
 
 
 def by_travel(slip: FloatArray) -> FloatArray:

@@ -9,6 +9,7 @@ import math
 import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,6 +31,7 @@ from lunarsci.regolith.columns import (
     by_travel,
     check_written_for,
     named_columns,
+    unit_of_size,
 )
 from lunarsci.regolith.prior import LOAD_PRESSURE_PA, Law, Question, question
 from lunarsci.regolith.prior import SLIPS as SLIPS_OF_UNITS
@@ -38,8 +40,8 @@ from lunarsci.regolith.wheel import MAX_VALID_SLIP, Wheel
 if TYPE_CHECKING:
     import pandas as pd
 
-LOAD_UNITS = {"kN": FORCES["kn"], "mN": FORCES["mn"]}
-"""In newtons, by definition; a kilogram and a pound of force make loads that other wheels of that size have."""
+LOAD_UNITS, UNSEEN_UNITS = ("N", "kN", "mN"), ("kgf", "lbf")
+"""Of forces; a kilogram and a pound make loads that other wheels of that size have."""
 PULL_OVER_LOAD, PULLING = Law("ln", 0.25, 0.7, "Wong 2008, ISBN 978-0-470-17038-0; width assumed"), 0.2
 """Largest drawbar pull of a wheel test, as a share of the load: 0.1 to 0.5 from such a slip on. [-]"""
 SINKAGE = Law("ln", 0.12, 0.8, "5 to 40 % of wheels' radii; assumed")
@@ -75,7 +77,7 @@ YES, NO = ("true", "1", "1.0", "yes"), ("false", "0", "0.0", "no")
 
 
 def likely_sinkage_unit(median: float, wheel: Wheel) -> tuple[str, Question | None]:
-    """The unit of a median sinkage whose column names none, and what to ask where another one is nearly as likely."""
+    """The unit of a median sinkage as it is written, and what to ask where another one is nearly as likely."""
     low = {unit: SINKAGE.ln_density(median * LENGTHS[unit] / wheel.radius_m) for unit in ("m", "cm", "mm")}
     likely, other = sorted(low, key=lambda unit: -low[unit])[:2]
     if low[likely] + math.log(SLIPS_OF_UNITS) > low[other]:
@@ -107,12 +109,17 @@ def _set_by_travel(slip: FloatArray) -> bool:
 
 
 def force_questions(
-    values: FloatArray, wheel: Wheel, unitless: Collection[str] = (), answered: Collection[str] = ()
+    values: FloatArray,
+    wheel: Wheel,
+    unitless: Collection[str] = (),
+    answered: Collection[str] = (),
+    sizes: Mapping[str, float] = MappingProxyType({}),
 ) -> tuple[Question, ...]:
     """What to ask of loads by what wheels of that size carry, and of pulls by the balance with the loads.
 
     `values` (n, 6) are in the order of `COLUMNS` of wheel states; `unitless` are columns that name no unit, `answered`
-    those whose unit the user has said.
+    those whose unit the user has said, `sizes` those of the units that the others were read in: what is asked is the
+    unit of the numbers as they are written.
     """
     slip, load, pull = values[:, 1], values[:, 3], values[:, 4]
     carried = load[np.isfinite(load) & (load > 0)]
@@ -120,19 +127,30 @@ def force_questions(
         return ()
     middle = float(np.median(carried))
     law = replace(LOAD_PRESSURE_PA, median=LOAD_PRESSURE_PA.median * wheel.radius_m * wheel.width_m)
-    query = None if "normal_force_n" in answered else _of_load(middle, law, unitless)
-    pulls = None if "drawbar_pull_n" in answered else _of_pull(slip, pull, middle)
-    if query and pulls is None and query.likely_unit not in ("", "N") and "drawbar_pull_n" not in answered:
-        # The balance holds as it is written, so that both are in the same unit.
-        query = replace(query, option=f"{query.option},drawbar_pull_n={query.likely_unit}")
+    query = None if "normal_force_n" in answered else _of_load(middle, law, unitless, sizes)
+    off = _others("normal_force_n", (query.likely_unit,), sizes) if query and query.likely_unit else {}
+    change, pulls = sum(off.values()) or 1.0, None
+    if "drawbar_pull_n" not in answered and (pulls := _of_pull(slip, pull, change * middle, sizes)) and change != 1.0:
+        unit = unit_of_size("drawbar_pull_n", change * sizes.get("drawbar_pull_n", 1.0))
+        if query and unit and _of_pull(slip, pull, middle, sizes) is None:
+            # The balance holds as it is written, so that the units of both are off by as much.
+            query, pulls = replace(query, option=f"{query.option},drawbar_pull_n={unit}"), None
     return tuple(one for one in (query, pulls) if one is not None)
 
 
-def questions_by_name(values: FloatArray, wheel: Wheel, unitless: Collection[str] = ()) -> tuple[Question, ...]:
+def _others(column: str, units: Sequence[str], sizes: Mapping[str, float]) -> dict[str, float]:
+    """Units that a column of forces may be in, but for that it was read in, each with its size in that."""
+    shares = {unit: FORCES[unit.lower()] / sizes.get(column, 1.0) for unit in units}
+    return {unit: share for unit, share in shares.items() if not math.isclose(share, 1.0)}
+
+
+def questions_by_name(
+    values: FloatArray, wheel: Wheel, unitless: Collection[str], sizes: Mapping[str, float]
+) -> tuple[Question, ...]:
     """The same where no option has units, so that names of columns answer."""
     return tuple(
         replace(one, option=f"name columns {', '.join(map(_name_of, one.option.removeprefix(OPTION).split(',')))}")
-        for one in force_questions(values, wheel, unitless)
+        for one in force_questions(values, wheel, unitless, sizes=sizes)
     )
 
 
@@ -146,30 +164,32 @@ def _name_of(answer: str) -> str:
     return f"{column.rpartition('_')[0]}_{'over_load' if unit == OVER_LOAD else unit}"
 
 
-def _of_pull(slip: FloatArray, pull: FloatArray, load: float) -> Question | None:
+def _of_pull(slip: FloatArray, pull: FloatArray, load: float, sizes: Mapping[str, float]) -> Question | None:
     """What to ask of pulls (n,) [N] at slips (n,) by their balance with a median load [N]; None for nothing."""
     most, share = float(np.nanmax(np.abs(pull), initial=0.0)), "a share of the load"
     if np.nanmax(np.abs(slip), initial=0.0) < PULLING:
         return None
-    of_load = {f"{unit} (the load)": 1.0 / FORCES[unit.lower()] for unit in ("kN", "kgf", "lbf")}
-    query = question(
-        "largest drawbar_pull_n over the load", most / load, PULL_OVER_LOAD, LOAD_UNITS | {share: load} | of_load
-    )
+    loads = _others("normal_force_n", ("N", "kN", *UNSEEN_UNITS), sizes)
+    of_load, read = {f"{unit} (the load)": 1.0 / size for unit, size in loads.items()}, sizes.get("drawbar_pull_n", 1.0)
+    units = _others("drawbar_pull_n", LOAD_UNITS, sizes) | {share: load / read} | of_load
+    query = question("largest drawbar_pull_n over the load", most / load, PULL_OVER_LOAD, units)
     if query is None:
         return None
-    unit = OVER_LOAD if query.likely_unit == share else query.likely_unit.partition(" ")[0] or "N"
     column = "normal_force_n" if query.likely_unit in of_load else "drawbar_pull_n"
+    unit = query.likely_unit.partition(" ")[0] or unit_of_size(column, read)
+    unit = OVER_LOAD if query.likely_unit == share else unit
     return replace(query, option=f"{OPTION} {column}={unit}")
 
 
-def _of_load(middle: float, law: Law, unitless: Collection[str]) -> Question | None:
+def _of_load(middle: float, law: Law, unitless: Collection[str], sizes: Mapping[str, float]) -> Question | None:
     """What to ask of a median load [N] by the law of those that wheels of that size carry; None for nothing."""
     named = "normal_force_n" not in unitless
-    units = LOAD_UNITS | ({} if named else {"kgf": FORCES["kgf"], "lbf": FORCES["lbf"]})
+    units = _others("normal_force_n", LOAD_UNITS if named else (*LOAD_UNITS, *UNSEEN_UNITS), sizes)
     query = question("median normal_force_n", middle, law, units)
     if query is None and not named:
         query = Question("median normal_force_n", middle, law.median, "N", OPTION, unitless=True)
-    return query and replace(query, option=f"{OPTION} normal_force_n={query.likely_unit or 'N'}")
+    as_read = unit_of_size("normal_force_n", sizes.get("normal_force_n", 1.0))
+    return query and replace(query, option=f"{OPTION} normal_force_n={query.likely_unit or as_read}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -261,7 +281,7 @@ class StateTable:
 
     def questions(self, wheel: Wheel) -> tuple[Question, ...]:
         """What to ask of its forces: loads and pulls that would be likely in another unit."""
-        return questions_by_name(self.values[self.valid], wheel, self.named.unitless)
+        return questions_by_name(self.values[self.valid], wheel, self.named.unitless, self.named.sizes)
 
     @property
     def wheels(self) -> tuple[str, ...]:
@@ -449,7 +469,7 @@ def read_states(
         read_as=named.read_as,
         questions=(
             *(*slip_queries, *query, *named.questions),
-            *force_questions(values, wheel, named.unitless, named.answered),
+            *force_questions(values, wheel, named.unitless, named.answered, named.sizes),
         ),
     )
 
@@ -459,13 +479,15 @@ def _with_sinkage(read: StateTable, wheel: Wheel) -> tuple[StateTable, tuple[Que
     measured = read.values[read.valid & np.isfinite(read.values[:, 0]), 0]
     if not measured.size or (middle := float(np.median(measured))) < wheel.radius_m:
         return read, ()
-    unit, _ = likely_sinkage_unit(middle, wheel)
-    as_m, other = (SINKAGE.ln_density(middle * LENGTHS[one] / wheel.radius_m) for one in ("m", unit))
-    if not (middle * LENGTHS[unit] < wheel.radius_m and other + math.log(SLIPS_OF_UNITS) > as_m):
+    size = read.named.sizes.get("sinkage_m", 1.0)
+    unit, _ = likely_sinkage_unit(middle / size, wheel)
+    scale = LENGTHS[unit] / size
+    as_read, other = (SINKAGE.ln_density(middle * one / wheel.radius_m) for one in (1.0, scale))
+    if not (middle * scale < wheel.radius_m and other + math.log(SLIPS_OF_UNITS) > as_read):
         return read, ()
     values, sigmas = read.values.copy(), read.sigmas.copy()
-    values[:, 0] *= LENGTHS[unit]
-    sigmas[:, 0] *= LENGTHS[unit] if "sinkage_m_sigma" in read.table else 1.0
+    values[:, 0] *= scale
+    sigmas[:, 0] *= scale if "sinkage_m_sigma" in read.table else 1.0
     usual = SINKAGE.median * wheel.radius_m
     query = Question("median sinkage_m", middle, usual, unit, f"{OPTION} sinkage_m={unit}")
     return replace(read, values=values, sigmas=sigmas), (query,)
@@ -500,6 +522,8 @@ def _complete_rows(read: StateTable) -> BoolArray:
 
 def _doubt_of_sinkage(sinkage_m: FloatArray) -> str:
     """What could be wrong with sinkages that no wheel has, and the option that says so."""
+    if np.nanmax(sinkage_m, initial=-np.inf) <= 0:
+        return f"is its sign turned ({OPTION} sinkage_m=-1)?"
     if not (least := float(np.nanmin(sinkage_m, initial=np.inf))) < LEAST_SINKAGE_M:
         return f"is it in another unit ({OPTION} sinkage_m=mm)?"
     return f"is its zero off ({OPTION} sinkage_m={math.ceil(1e3 * (1e-3 - least)) / 1e3:+.3g})?"

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -429,7 +430,9 @@ def test_what_is_written_to_a_file_is_answered_in_a_sentence_with_its_trust(run,
 
 def test_a_wrong_column_is_wrong_usage_and_the_nearest_is_named(run, rock: Path) -> None:
     for form in (["--csv"], []):
-        done = run("spectra", "bands", rock, *form, "--columns", "bc1000_mn")
+        left = rock.parent / "failed.txt"
+        done = run("spectra", "bands", rock, *form, "--columns", "bc1000_mn", "--failed", left)
+        assert not left.exists(), "nothing is written of what is refused"
         assert (done.code, done.out) == (2, "")
         assert "--columns: 'bc1000_mn' is not a column" in done.err[0] and "did you mean 'bc1000_nm'?" in done.err[0]
 
@@ -724,3 +727,12 @@ def test_coarse_steps_and_samples_are_refused(run) -> None:
     for option in ("--sample", "--time-step"):
         done = run("twin", "predict", option, "5")
         assert (done.code, done.out, len(done.err)) == (1, "", 1)
+
+
+def test_a_failed_input_decides_the_code_and_a_doubt_is_recorded_all_the_same() -> None:
+    """As docs/reference/json.md says."""
+    text = (Path(__file__).parents[2] / "docs/reference/json.md").read_text("utf-8")
+    assert "`untrusted` (empty where the exit code is 0) and `failures` (where there are any, the exit code is" in text
+    result: Any = SimpleNamespace(untrusted="far off", failures=[Failure.of("a.csv", "is not there")])
+    report = Report(result, [])
+    assert (report.exit_code, report.untrusted) == (1, "far off")

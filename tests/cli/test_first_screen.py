@@ -46,6 +46,12 @@ def test_the_rest_is_behind_verbose(run, terminal: None) -> None:
     assert "What this says" in whole
 
 
+def test_why_a_drive_is_no_go_is_said_once(run, terminal: None) -> None:
+    done = run("twin", "predict", "--sweep", "friction_angle_deg=8:12:3", "-q")
+    assert done.code == 3 and done.out.startswith("No-go for the drive") and not done.err
+    assert run("twin", "predict", "--sweep", "friction_angle_deg=8:12:3", "-q", "--verbose").err
+
+
 def test_each_of_a_few_spectra_has_its_sentence(run, terminal: None) -> None:
     lines = run("spectra", "bands", "rock.ecsv", *sorted(map(str, Path().glob("*SD_SCI*.2B"))), "-q").out.splitlines()
     assert sum(line.startswith("SYNTHETIC-CE4-0001: ") for line in lines) == 2 and len(lines) <= 24

@@ -136,6 +136,35 @@ def test_a_load_without_a_unit_is_asked_and_a_sinkage_is_read() -> None:
     assert found.questions[0].option == "--units sinkage_m=mm"
 
 
+def test_answers_of_one_column_count_together_and_leave_its_unit() -> None:
+    other = TRUE.assign(sinkage_mm=-1e3 * (TRUE["sinkage_m"] - 0.004)).drop(columns="sinkage_m")
+    check(states(other, "sinkage_m=-1,sinkage_m=+0.004"))
+    plain = other.rename(columns={"sinkage_mm": "sinkage_m"})
+    check(states(plain, "sinkage_m=mm,sinkage_m=+0.004,sinkage_m=-"))
+    check(states(TRUE.assign(drawbar_pull_n=-TRUE["drawbar_pull_n"] / 1e3), "drawbar_pull_n=-kN"))
+    by_way = TRUE.assign(**{"slip [%]": 100 * TRUE["slip_ratio"] / (1 - TRUE["slip_ratio"])})
+    check(states(by_way.drop(columns="slip_ratio"), "slip_ratio=travel"))
+    with pytest.raises(DataError, match=r"is its sign turned \(--units sinkage_m=-1\)"):
+        states(TRUE.assign(sinkage_m=-TRUE["sinkage_m"]))
+
+
+@pytest.mark.parametrize("columns", [("normal_force_n",), ("normal_force_n", "drawbar_pull_n"), ("drawbar_pull_n",)])
+def test_a_unit_is_asked_of_the_numbers_as_they_are_written(columns: tuple[str, ...]) -> None:
+    """Newtons in columns of kilonewtons."""
+    other = states(TRUE.rename(columns={name: name.removesuffix("_n") + "_kN" for name in columns}))
+    (question,) = other.questions
+    assert question.likely_unit.removesuffix(" (the load)") == "N"
+    answer = question.option.removeprefix("--units ")
+    check(states(TRUE.rename(columns={name: name.removesuffix("_n") + "_kN" for name in columns}), answer))
+
+
+def test_a_unit_of_sinkage_is_asked_of_the_numbers_as_they_are_written() -> None:
+    """Millimetres in a column of centimetres."""
+    other = states(TRUE.assign(sinkage_cm=3e3 * TRUE["sinkage_m"]).drop(columns="sinkage_m"))
+    assert other.questions[0].option == "--units sinkage_m=mm"
+    assert other.values[:, 0] == pytest.approx(3 * TRUE["sinkage_m"])
+
+
 def test_the_right_table_is_not_asked_about() -> None:
     check(states(TRUE))
     assert (states(TRUE).questions, states(TRUE).read_as) == ((), ())

@@ -445,9 +445,9 @@ NEVER = 1e12
 FORCE_WORDS = ("normal force", "drawbar pull", "lateral force")
 """F_N, F_DP, F_L in words."""
 OTHER_SIGNS: tuple[tuple[str, float, str], ...] = (
-    ("slip_ratio", -1.0, "its sign turned: slip is positive where the rim is faster than the wheel travels"),
-    ("drawbar_pull_n", -1.0, "its sign turned: a pull forward is positive, a resistance negative"),
-    ("lateral_force_n", -1.0, "its sign (or that of side_slip_deg) turned: they have the same sign"),
+    ("slip_ratio", -1.0, "its sign turned (--units slip_ratio=-1): positive is a rim faster than the wheel travels"),
+    ("drawbar_pull_n", -1.0, "its sign turned (--units drawbar_pull_n=-1): a pull forward is positive"),
+    ("lateral_force_n", -1.0, "its sign, or that of side_slip_deg, turned (--units lateral_force_n=-1)"),
     ("side_slip_deg", math.degrees(1.0), "degrees in place of radians"),
 )
 """Other readings of a column: its name, the factor to its values, and how it is read then, in words."""

@@ -139,7 +139,8 @@ class IdentifyRequest:
     side_slip_error : 1σ of the side slip, relative.
     sensitivity : How much of each variance comes from each measured quantity.
     units : Units of columns by COLUMN=UNIT with commas between: N, kN, kgf, lbf, of a pull load (its share of the
-        load); m, cm, mm, +0.004 (added to the sinkage, in m); of a slip rim, 1 - v/(r_s ω), travel, r_s ω/v - 1, or %.
+        load); m, cm, mm; of a slip rim, 1 - v/(r_s ω), travel, r_s ω/v - 1, or %. COLUMN=-1 turns its sign,
+        COLUMN=+0.004 adds to it. Several of one column count together.
     """
 
     rover: str | None = None

@@ -227,6 +227,15 @@ class DrivePosterior:
         density[counted] = self.coordinates.ln_volume(inside) - 0.5 * (self.of_prior(inside) ** 2).sum(axis=1)
         return density
 
+    def ln_evidence(self, mode: "PosteriorMode") -> float:
+        """ln of the probability of what was measured, up to a constant of drive and belief: Laplace's method at a mode.
+
+        MacKay (2003), Information Theory, Inference, and Learning Algorithms, ch. 27 and 28.
+        """
+        volume = float(self.coordinates.ln_volume(self.coordinates.transforms(mode.point)))
+        spread = 0.5 * float(np.linalg.slogdet(mode.covariance)[1])
+        return volume + spread - 0.5 * mode.cost - self.drive.ln_errors
+
     def draw_prior(self, count: int, random: np.random.Generator) -> FloatArray:
         """The belief's mean, and draws from it, as coordinates. (count, 8)"""
         noise = random.standard_normal((count - 1, len(self.root)))

@@ -435,6 +435,13 @@ class DriveResiduals:
         expected = values if self.expected is None else self.expected
         return self.bias.marginalised(values, self.sigma, self.wheel, way, self.whitening, expected, self.turned)
 
+    @property
+    def ln_errors(self) -> float:
+        """Half of ln of the determinant of the covariance of all errors, which a likelihood is divided by."""
+        _, whitened = np.linalg.slogdet(self.whitening)
+        biases = 0.5 * np.log1p(self.marginalised.sizes**2).sum()
+        return float(np.log(self.sigma[self.counted]).sum() - whitened + biases)
+
     @cached_property
     def turned(self) -> FloatArray | None:
         """How far each position moves for a share of 1 of what spot turns are exposed to. (f, 2) [m]

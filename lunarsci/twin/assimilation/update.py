@@ -13,11 +13,11 @@ that was measured wrong. The update then finds the soil in between, and allows f
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import chdtri, expit
 
 from lunarsci.arrays import SIGNIFICANCE, BoolArray, FloatArray, at_times
 from lunarsci.errors import ParameterError
@@ -118,6 +118,8 @@ class SoilUpdate:
         over the parameters of the soil: about 1 or less where the ground is the one that was believed. [-]
     autocorrelation : largest correlation of the particles with where they were before their last moves. [-]
     refused : empty, or why the belief was not moved.
+    ruts_probability : that wheels met the ruts of those before them, 0 or 1 where that was given; the belief is of
+        both, each as probable as it is. [-]
     """
 
     belief: SoilBelief
@@ -131,6 +133,7 @@ class SoilUpdate:
     prior_shift: float
     autocorrelation: float
     refused: str
+    ruts_probability: float = 0.0
 
     @property
     def reduced(self) -> float:
@@ -225,8 +228,8 @@ def assimilate(
     model_error : of the twin's physics, as a multiple of `MODEL_SHARES` and `MODEL_ERRORS`; 0 where the drive is the
         twin's own. [-]
     seed : of the population.
-    ruts : whether simulated wheels meet the ruts of those before them; None takes what explains the drive better, and
-        `SoilUpdate.prediction` says which that is.
+    ruts : whether simulated wheels meet the ruts of those before them; None asks the drive, which is as likely with as
+        without them beforehand. `SoilUpdate.prediction` is of the more probable one.
     wheel : whether contact angles and effective radius of the wheels are unknown, too, and in the belief afterwards;
         False takes those of the rover's file, or what the belief holds of them.
     teach : whether the discrepancy learns, False where a comparison taught it this drive already.
@@ -243,7 +246,8 @@ def assimilate(
     floor = max(model_error, LEAST_FLOOR)
     prior = belief.opened(rover.wheel) if wheel else belief
     drive = DriveResiduals(rover, terrain, plan, record, prior, bias=bias, floor=floor)
-    posterior, mode = _best_soil(drive, random, ruts)
+    fits = _fits(drive, random, ruts)
+    posterior, mode = fits[0].posterior, fits[0].mode
     residual = posterior.residuals(mode.point[None])[0][0]
     states, places = posterior.drive.parts(residual)
     counted, inflation = posterior.drive.counted, posterior.drive.inflation
@@ -255,8 +259,7 @@ def assimilate(
     refused = _refusal(posterior.drive, int(outliers.sum()), wheels, expected, best)
     learned, left = belief, 0.0
     if not refused:
-        drawn, left = draw_particles(posterior, mode, particles, random, progress)
-        points = posterior.coordinates.transforms(drawn)
+        points, left = _drawn(fits, particles, random, progress)
         discrepancy = _taught(belief.discrepancy, posterior.drive, expected, best) if teach else belief.discrepancy
         moments = (points.mean(axis=0), np.cov(points.T))
         learned = SoilBelief(prior.laws, *moments, belief.history, points, belief.verdict, discrepancy)
@@ -274,17 +277,55 @@ def assimilate(
         prior_shift=float(np.sqrt(moved @ np.linalg.solve(belief.soil.covariance, moved) / len(moved))),
         autocorrelation=left,
         refused=refused,
+        ruts_probability=sum(fit.probability for fit in fits if fit.posterior.drive.ruts),
     )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class DriveFit:
+    """The most probable soil with ruts, or without, errors widened to what it leaves; how probable it makes them."""
+
+    posterior: DrivePosterior
+    mode: PosteriorMode
+    probability: float = 1.0
+
+
+def _fits(drive: DriveResiduals, random: np.random.Generator, ruts: bool | None) -> list[DriveFit]:
+    """What explains a drive, the more probable first: with ruts, without, or both, by the evidence for each."""
+    first = _best_soil(replace(drive, ruts=bool(ruts)), random)
+    if ruts is not None:
+        return [DriveFit(*first)]
+    try:
+        other = _best_soil(replace(drive, ruts=True), random, first[1].point[None])
+    except ParameterError:
+        return [DriveFit(*first)]
+    share = float(expit(other[0].ln_evidence(other[1]) - first[0].ln_evidence(first[1])))
+    return sorted((DriveFit(*first, 1.0 - share), DriveFit(*other, share)), key=lambda fit: -fit.probability)
+
+
+def _drawn(
+    fits: Sequence[DriveFit],
+    particles: int,
+    random: np.random.Generator,
+    progress: Callable[[int, int], None] | None,
+) -> tuple[FloatArray, float]:
+    """Draws of all fits, of each as many as it is probable; transforms (particles, p), and the largest correlation."""
+    counts = [round(fit.probability * particles) for fit in fits]
+    parts, left = [], 0.0
+    for fit, count in zip(fits, [particles - sum(counts[1:]), *counts[1:]], strict=True):
+        if count:
+            enough = max(count, FEWEST_PARTICLES)
+            drawn, correlation = draw_particles(fit.posterior, fit.mode, enough, random, progress)
+            parts.append(fit.posterior.coordinates.transforms(drawn[:count]))
+            left = max(left, correlation)
+    return np.vstack(parts), left
+
+
 def _best_soil(
-    drive: DriveResiduals, random: np.random.Generator, ruts: bool | None
+    drive: DriveResiduals, random: np.random.Generator, starts: FloatArray | None = None
 ) -> tuple[DrivePosterior, PosteriorMode]:
-    """The most probable soil, with or without ruts, and with errors widened to what it leaves."""
-    posterior, mode = _mode_of(replace(drive, ruts=bool(ruts)), random)
-    if ruts is None:
-        posterior, mode = _with_ruts_if_better(posterior, mode, random)
-    drive = posterior.drive
+    """The most probable soil, with errors widened to what it leaves; `starts` as in `find_mode`."""
+    posterior, mode = _mode_of(drive, random, starts)
     for _ in range(ROUNDS):
         residual = posterior.residuals(mode.point[None])[0][0]
         wheels = wheel_errors(drive, drive.states_as_measured(residual))
@@ -312,15 +353,6 @@ def _mode_of(
     if mode is None:
         raise ParameterError("no soil of the belief carries the rover to the end; was this the plan that was driven?")
     return posterior, mode
-
-
-def _with_ruts_if_better(
-    posterior: DrivePosterior, mode: PosteriorMode, random: np.random.Generator
-) -> tuple[DrivePosterior, PosteriorMode]:
-    """The same, or the most probable soil with ruts where that explains the drive better, by errors not yet widened."""
-    other = posterior_of(replace(posterior.drive, ruts=True))
-    result = find_mode(other, random, mode.point[None])
-    return (posterior, mode) if result is None or result.cost >= mode.cost else (other, result)
 
 
 def _in_units(drive: DriveResiduals) -> dict[str, float]:

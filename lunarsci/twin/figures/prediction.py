@@ -29,7 +29,7 @@ from lunarsci.twin.figures.panels import (
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.judgement.endpoint import Endpoint, ErrorEllipse, scale_of
 from lunarsci.twin.judgement.quantities import abscissa, along
-from lunarsci.twin.judgement.safety import Verdict, headword
+from lunarsci.twin.judgement.safety import Verdict, arrivals, headword
 from lunarsci.twin.judgement.tables import available
 from lunarsci.twin.simulation.ensemble import Prediction
 
@@ -107,7 +107,8 @@ def _draw_ends(axes: Axes, prediction: Prediction, verdict: Verdict, terrain: Te
     half = max(1.1 * reach, 0.1)
     axes.set_xlim(target[0] - 1.9 * half, target[0] + 1.9 * half)
     axes.set_ylim(target[1] - half, target[1] + half)
-    text = f"all within {end.covering_radius_m:.3f} m of the destination" if end else "none reached the destination"
+    who = "all" if verdict.arrived == verdict.members else arrivals(verdict.arrived, verdict.members)
+    text = f"{who} within {end.covering_radius_m:.3f} m of the destination" if end else "none reached the destination"
     axes.set_title(f"ends: {text}; contours every 0.02 m")
 
 

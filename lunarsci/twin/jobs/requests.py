@@ -486,7 +486,7 @@ class UpdateRequest(RoverOnGround):
     by_place : whether the soil is kept by place, as it is where `soil` is a map.
     correlation : Distance in m over which soils are alike; the map's, or 5, if left out.
     particles : Number of soils that represent the belief.
-    ruts : Whether wheels met the ruts of others; as explains the drive better, if left out.
+    ruts : Whether wheels met the ruts of others; by the probability that the drive gives it, if left out.
     seed : Seed of everything random.
     as_written : Take the numbers of soil, rover, terrain and states as they are written. Without it the command asks
         about a number that would be likely in another unit, and the result is not to be trusted.

@@ -154,8 +154,8 @@ class Judgement:
 
     @property
     def judged(self) -> float:
-        """The value that is held against the limit."""
-        return self.worst if self.quantity in NEVER_BROKEN else self.kept
+        """The value that is held against the limit; minus infinite where no height is below some drive's body."""
+        return self.worst if self.quantity in NEVER_BROKEN or self.worst == -math.inf else self.kept
 
     @property
     def used(self) -> float:
@@ -224,9 +224,23 @@ class Verdict:
         return Doubt() if self.verdict == "go" else Doubt.of(*self.reasons, verdict=self.verdict)
 
     @property
+    def arrived(self) -> int:
+        """Drives that came to the end of the plan, of which limits and ends are."""
+        return self.outcomes.get(OUTCOMES[0], 0)
+
+    @property
     def chance(self) -> Chance:
         """Of failing, on soils drawn as these were."""
         return Chance(self.failed, self.members)
+
+
+def arrivals(arrived: int, members: int) -> str:
+    """The drives that limits and ends are of, after a number of them: all, or those that did not stop.
+
+    >>> arrivals(3, 3), arrivals(1, 3)
+    ('3 drives', 'the 1 that arrived')
+    """
+    return f"{members} drives" if arrived == members else f"the {arrived} that arrived"
 
 
 def headword(verdict: Verdict) -> str:
@@ -265,7 +279,8 @@ def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
     early = [f"{n} of {prediction.members} members: {text}" for text, n in outcomes.items() if text != OUTCOMES[0]]
     reasons = early if risk is None else _beyond(risk, chance)
     accepted = [] if risk is None else [_within(risk, chance), *early]
-    reasons += [_reason(j, prediction.members) for j in judged if not j.ok]
+    among = arrivals(int(finished.sum()), prediction.members)
+    reasons += [_reason(j, among) for j in judged if not j.ok and math.isfinite(j.judged)]
     near = tuple(encounters(prediction))
     reasons += [_crossed(one, prediction.members) for one in near if one.margin_m < 0]
     states = validity(prediction)
@@ -381,25 +396,25 @@ def _judge_limit(prediction: Prediction, limit: Limit, values: FloatArray, share
     return dataclasses.replace(judgement, margin=margin, ok=margin >= 0)
 
 
-def _reason(judgement: Judgement, members: int) -> str:
+def _reason(judgement: Judgement, among: str) -> str:
     up = judgement.sense == "at most"
     name = f"p{100.0 * (judgement.share if up else 1.0 - judgement.share):02.3g}"
-    if judgement.judged == -math.inf:
-        return f"{judgement.quantity}: unknown in {judgement.exceeding} of {members} drives"
     if judgement.quantity == "keep_out_m":
         return f"keep_out_m: {judgement.min:.3g} at the nearest is less than the limit {judgement.limit:g}"
     if judgement.quantity == "battery_charge":
         share = f"charge falls below {judgement.limit:g}" if judgement.limit else "battery runs empty"
-        return f"battery_charge: the {share} in {judgement.exceeding} of {members} drives"
+        return f"battery_charge: the {share} in {judgement.exceeding} of {among}"
     if judgement.quantity == "motor_load":
         return (
-            f"motor_load: in {judgement.exceeding} of {members} drives a wheel needs more torque than its motor gives "
+            f"motor_load: in {judgement.exceeding} of {among} a wheel needs more torque than its motor gives "
             f"for long at its rate, {name} {judgement.kept:.3g} times as much"
         )
-    if judgement.sense == "at least":
-        return f"{judgement.quantity}: {name} {judgement.kept:.3g} is less than the limit {judgement.limit:g}"
+    beyond = "exceeds" if up else "is less than"
     meaning = "; at 1 wheels turn and the rover stays, or slides back" if judgement.quantity == "slip_ratio" else ""
-    return f"{judgement.quantity}: {name} {judgement.kept:.3g} exceeds the limit {judgement.limit:g}{meaning}"
+    return (
+        f"{judgement.quantity}: {name} {judgement.kept:.3g} {beyond} the limit {judgement.limit:g}, which "
+        f"{judgement.exceeding} of {among} break{meaning}"
+    )
 
 
 def _crossed(one: Encounter, members: int) -> str:
@@ -438,6 +453,6 @@ def _notes(prediction: Prediction, judged: tuple[Judgement, ...], states: Validi
     notes += [f"{name} was not judged: {lacking[name]}" for name in given if name in lacking]
     if touches:
         notes.append("the chassis would touch the ground; the drives go on as if it did not")
-    members = prediction.members
-    broken_limits = [f"{j.quantity}: {j.exceeding} of {members} drives break the limit" for j in judged if j.exceeding]
-    return (*notes, *validity_notes(states), *broken_limits)
+    among = arrivals(int(prediction.finished.sum()), prediction.members)
+    few = [f"{j.quantity}: {j.exceeding} of {among} break the limit" for j in judged if j.exceeding and j.ok]
+    return (*notes, *validity_notes(states), *few)

@@ -28,18 +28,17 @@ from lunarsci.errors import DataError
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.telemetry.filter import DRIFT, LAG, LEVER, OFFSET, SCALE, SLIDES, FilterRun, Nodes, onto_map
 from lunarsci.twin.telemetry.reading import (
-    DEG,
     LEAST_ROW_M,
     OBEYED,
     SIGMA_DEG,
     STILL,
     SURE,
     UNDER_WAY,
-    UNITS,
     Findings,
     Telemetry,
     between,
 )
+from lunarsci.units import DEG, SIZES
 
 LN_ODDS = {
     name: math.log(odds)
@@ -139,7 +138,7 @@ def units_of(rover: Rover) -> dict[str, list[Unit]]:
     """The units in which each column may be, the first as it is named."""
     rim, odds, units = rover.wheel.shearing_radius_m, LN_ODDS["units"], dict[str, list[Unit]]()
     for name, unit in NAMED.items():
-        others = UNITS[unit] | ({"deg_s": rim / DEG, "rad_s": rim} if unit == "m_s" else {})
+        others = SIZES[unit] | ({"deg_s": rim / DEG, "rad_s": rim} if unit == "m_s" else {})
         units[name] = [Unit(unit.replace("_", "/"), 1.0, 0.0)]
         units[name] += [Unit(text.replace("_", "/"), factor, odds) for text, factor in others.items()]
         if name != "time_s":
@@ -311,9 +310,9 @@ FRAMES = (
     AxesHypothesis("steering is positive to the right", turn=-1.0),
     AxesHypothesis("the steering angles look like rad", turn=DEG),
     AxesHypothesis("the turns of the wheels look like rad", rims=DEG),
-    *(AxesHypothesis(f"errors of positions look like {unit}", errors=UNITS["m"][unit]) for unit in ("mm", "cm")),
+    *(AxesHypothesis(f"errors of positions look like {unit}", errors=SIZES["m"][unit]) for unit in ("mm", "cm")),
     *(AxesHypothesis(f"x_m and y_m look like {unit}", place=((size, 0.0), (0.0, size)))
-      for unit, size in UNITS["m"].items()),
+      for unit, size in SIZES["m"].items()),
 )  # fmt: skip
 """What writers of telemetry do, with odds as `LN_ODDS` has them; stated errors may be far too large, and another frame
 is one that nothing explains."""

@@ -31,6 +31,7 @@ from lunarsci.io.inputs import InputFile, InputStream, open_input
 from lunarsci.io.tables import (
     check_columns,
     csv_tables,
+    in_units,
     line_pieces,
     numbers_of,
     parquet_tables,
@@ -39,6 +40,7 @@ from lunarsci.io.tables import (
 )
 from lunarsci.twin.plans.motion import GAP
 from lunarsci.twin.rover import Rover
+from lunarsci.units import SIZES, UNIT_ENDING, columns_by_unit
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -48,17 +50,6 @@ NEEDED = ("time_s", "x_m", "y_m", "yaw_deg")
 ERRORS = ("xx_m2", "xy_m2", "yy_m2")
 """Columns of the covariance of a position."""
 WHEEL = re.compile(r"(?:speed|steering|angle|rate|steered)_([A-Za-z0-9]+)_(?:m_s|deg|deg_s)")
-DEG = math.degrees(1.0)
-UNITS = {
-    "m": {"mm": 1e-3, "cm": 1e-2, "dm": 0.1, "km": 1e3},
-    "m2": {"mm2": 1e-6, "cm2": 1e-4},
-    "s": {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "min": 60.0, "h": 3600.0},
-    "deg": {"rad": DEG, "mrad": 1e-3 * DEG, "turns": 360.0},
-    "deg_s": {"rad_s": DEG, "rpm": 6.0},
-    "m_s": {"cm_s": 1e-2, "mm_s": 1e-3, "km_h": 1.0 / 3.6},
-}
-"""What names may end in: the unit that is meant, and those that are read as well with their size in it."""
-UNIT = re.compile(rf"_({'|'.join([*UNITS, *(unit for others in UNITS.values() for unit in others)])})(?=$|_sigma$)")
 PLACES = ("x_m", "y_m", *ERRORS, "sigma_m")
 OF_A_WHEEL = (("angle_{}_deg", "rate_{}_deg_s", "speed_{}_m_s"), ("steered_{}_deg", "steering_{}_deg"))
 """Of each of these every wheel needs one: how it turned, and how it was steered."""
@@ -125,21 +116,6 @@ slip does not change faster. [m]"""
 _ENDS |= dict.fromkeys(("m", "mid", "middle", "center", "centre"), "M")
 
 
-def named_columns(names: list[str]) -> dict[str, tuple[str, float]]:
-    """Columns by the names that telemetry has for them, in which column each is, and what it is multiplied by.
-
-    `yaw_rad` is `yaw_deg` in another unit, where there is none in this one.
-    """
-    columns = {name: (name, 1.0) for name in names}
-    for name in names:
-        if match := UNIT.search(name):
-            for unit, others in UNITS.items():
-                if match[1] in others:
-                    meant = f"{name[: match.start()]}_{unit}{name[match.end() :]}"
-                    columns.setdefault(meant, (name, others[match[1]]))
-    return columns
-
-
 def check_telemetry_columns(file: str, names: list[str], rover: Rover, *, placed: bool) -> None:
     """Raises DataError for wheels of another rover, and for columns that are missing, with what may be meant.
 
@@ -169,9 +145,14 @@ def check_telemetry_columns(file: str, names: list[str], rover: Rover, *, placed
 
 
 def _guess(needed: str, names: list[str]) -> str:
-    bare, names = UNIT.sub("", needed), [n for n in names if n not in (*NEEDED, *ERRORS) and not n.endswith("_sigma")]
-    other = [name for name in names if UNIT.sub("", name) == bare] or difflib.get_close_matches(needed, names, 1, 0.75)
-    other = other or [name for name in names if UNIT.sub("", likely_meaning(name) or name) == bare]
+    bare, names = (
+        UNIT_ENDING.sub("", needed),
+        [n for n in names if n not in (*NEEDED, *ERRORS) and not n.endswith("_sigma")],
+    )
+    other = [name for name in names if UNIT_ENDING.sub("", name) == bare] or difflib.get_close_matches(
+        needed, names, 1, 0.75
+    )
+    other = other or [name for name in names if UNIT_ENDING.sub("", likely_meaning(name) or name) == bare]
     return f" ({other[0]}?)" if other else ""
 
 
@@ -545,7 +526,7 @@ def read_positions(source: InputFile) -> Positions:
     time that contradict each other.
     """
     file = source.name
-    table = from_ros(file, read_csv_table(source))
+    table = in_units(file, from_ros(file, read_csv_table(source)))
     shares = bool({*SHARED} & {*table})
     errors = ERRORS if shares or {*ERRORS} & {*table} else ()
     check_columns(file, table.columns, POSITION_COLUMNS, ("time_s", "x_m", "y_m", *errors, *(SHARED if shares else ())))
@@ -639,7 +620,7 @@ def read_telemetry(
 
 def _numbers(file: str, table: "pd.DataFrame", rover: Rover, *, placed: bool) -> dict[str, FloatArray]:
     """The columns that count, of a piece."""
-    columns = named_columns([str(name) for name in table.columns])
+    columns = columns_by_unit([str(name) for name in table.columns])
     check_telemetry_columns(file, list(columns), rover, placed=placed)
     used = {*NEEDED, *POSE_COLUMNS, *PLACES} - (set() if placed else {*PLACES})
     used |= {form.format(wheel) for form in WHEEL_COLUMNS.values() for wheel in rover.wheels}
@@ -747,13 +728,13 @@ def _in_unit(file: str, name: str, unit: str) -> str:
     """The name of a column that ends in the unit the file says, where that is another one than its name has."""
     from astropy import units as u
 
-    match, stated = UNIT.search(name), u.Unit(unit)
+    match, stated = UNIT_ENDING.search(name), u.Unit(unit)
     if match is None:
         return name
-    for end in itertools.chain.from_iterable((meant, *others) for meant, others in UNITS.items()):
+    for end in itertools.chain.from_iterable((meant, *others) for meant, others in SIZES.items()):
         if stated == u.Unit(SPELLED.get(end, end.replace("_", "/"))):
             return f"{name[: match.start()]}_{end}{name[match.end() :]}"
-    raise DataError(f"{file}: {name} is in {unit}; give it in {' or '.join(UNITS)}")
+    raise DataError(f"{file}: {name} is in {unit}; give it in {' or '.join(SIZES)}")
 
 
 def _flat(file: str, table: "pd.DataFrame") -> "pd.DataFrame":

@@ -15,7 +15,7 @@ import numpy as np
 from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError
 from lunarsci.io.inputs import InputFile
-from lunarsci.io.tables import check_columns, numbers_of, read_csv_table
+from lunarsci.io.tables import check_columns, in_units, numbers_of, read_csv_table
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 from lunarsci.twin.telemetry.hypotheses import REPORTED
@@ -77,8 +77,8 @@ class RutPoints:
 
 
 def read_track(source: InputFile) -> RutPoints:
-    """Depths of a track from CSV: x_m, y_m, rut_m, and optionally rut_m_sigma. Raises DataError."""
-    table = read_csv_table(source)
+    """Depths of a track from CSV: x_m, y_m, rut_m, and optionally rut_m_sigma, or in another unit. Raises DataError."""
+    table = in_units(source.name, read_csv_table(source))
     check_columns(
         source.name, table.columns, ("x_m", "y_m", "rut_m", "rut_m_sigma", "synthetic"), ("x_m", "y_m", "rut_m")
     )

@@ -8,9 +8,12 @@ Contact angles and effective radius of the wheels as unknowns: in drives, belief
 import dataclasses
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from lunarsci.arrays import FloatArray
 from lunarsci.errors import ParameterError
@@ -28,6 +31,7 @@ from lunarsci.regolith.physics_discrepancy import FIRST
 from lunarsci.regolith.prior import PARAMETERS, ROLLING
 from lunarsci.regolith.soil import Soil
 from lunarsci.regolith.states import MeasurementErrors
+from lunarsci.twin.assimilation import update
 from lunarsci.twin.assimilation.residuals import OBSERVED, DriveRecord, DriveResiduals, states_at
 from lunarsci.twin.assimilation.update import SlipLean, SoilUpdate, _refusal, _taught, assimilate, unexplained_share
 from lunarsci.twin.ground.synthetic import synthetic_longji
@@ -92,8 +96,31 @@ def test_ruts_are_taken_where_they_explain_the_drive_better(yutu2: Rover, ground
         for ruts in (None, False)
     ]
     assert both[0].prediction.ruts and not both[1].prediction.ruts and not found.prediction.ruts
+    assert both[0].ruts_probability > 0.99 > 0.5 > found.ruts_probability >= both[1].ruts_probability == 0.0
     assert not both[0].refused and max(both[0].inflation.values(), default=1.0) < 1.2
     assert both[1].refused or max(both[1].inflation.values()) > 2.0
+
+
+def test_soils_are_of_both_cases_as_probable_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draws of 0 without ruts, of 1 with them; what is all but impossible has none."""
+    same = SimpleNamespace(transforms=lambda points: points)
+    made = {ruts: SimpleNamespace(coordinates=same, number=float(ruts)) for ruts in (False, True)}
+    monkeypatch.setattr(update, "draw_particles", lambda fit, mode, count, *_: (np.full((count, 8), fit.number), 0.1))
+    for share, expected in ((0.25, 16), (0.001, 0)):
+        fits: Any = [SimpleNamespace(posterior=made[False], mode=None, probability=1 - share),
+                     SimpleNamespace(posterior=made[True], mode=None, probability=share)]  # fmt: skip
+        points, left = update._drawn(fits, 64, np.random.default_rng(0), None)
+        assert points.shape == (64, 8) and points[:, 0].sum() == expected and left == 0.1
+
+
+def test_the_evidence_counts_the_errors_that_were_allowed(yutu2: Rover, ground: Terrain, record: DriveRecord) -> None:
+    """Half of ln of the determinant of the covariance of all errors, put together from its parts."""
+    drive = DriveResiduals(yutu2, ground, PLAN, record, first_belief(), inflation={"sinkage_m": 2.0})
+    bias = drive.marginalised.vectors * drive.marginalised.sizes
+    single = np.diag(drive.sigma.ravel())
+    scale = block_diag(single, np.linalg.inv(drive.whitening))
+    covariance = scale @ (np.eye(len(scale)) + bias @ bias.T) @ scale.T
+    assert drive.ln_errors == pytest.approx(0.5 * np.linalg.slogdet(covariance)[1], rel=1e-9)
 
 
 @pytest.mark.slow

@@ -4,7 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
+from lunarsci.cli.twin.predict import _limit_row
 
+from lunarsci.pages.drive_answers import predicted
 from lunarsci.twin.judgement.safety import judge, validity
 from lunarsci.twin.judgement.tables import check_loads, load_notes
 from lunarsci.twin.lanes import HOLE, LEFT
@@ -33,7 +35,31 @@ def test_small_clearances_are_the_bad_ones(driven: Prediction) -> None:
     assert limit.margin == pytest.approx(0.005) and limit.judged == limit.kept == limit.p05
     verdict = judge(limited(lifted(driven, 0.1), Limit("clearance_m", "m", 0.115, "test", False)))
     assert verdict.verdict == "no-go" and "p05 0.11 is less than the limit 0.115" in verdict.reasons[0]
-    assert any("2 of 20 drives break" in note for note in verdict.notes)
+    assert "which 2 of 20 drives break" in verdict.reasons[0] and not any("break" in note for note in verdict.notes)
+
+
+def test_limits_and_ends_are_said_to_be_of_the_drives_that_arrived(driven: Prediction) -> None:
+    outcome = driven.outcome.copy()
+    outcome[0] = LEFT
+    limit = Limit("clearance_m", "m", 0.125, "test", False)
+    verdict = judge(limited(dataclasses.replace(lifted(driven, 0.1), outcome=outcome), limit))
+    assert verdict.arrived == 19 and verdict.reasons[0].startswith("1 of 20 members: left the terrain")
+    assert verdict.reasons[1].endswith("which 2 of the 19 that arrived break")
+    answer = predicted(dataclasses.asdict(verdict) | {"plan": "a", "rover": "b"}).text
+    assert "in 95 % of the 19 drives that arrived" in answer and "1 of 20 members" in answer
+
+
+def test_a_clearance_over_unknown_ground_is_unknown(driven: Prediction, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Below the body of one drive of 20 no height is given: 95 % of the drives keep the limit all the same."""
+    unknown = np.zeros(driven.paths.shape[:2])
+    unknown[3, 5] = 0.2
+    for module in ("keeping", "safety"):
+        monkeypatch.setattr(f"lunarsci.twin.judgement.{module}.clearance", lambda _: (unknown + 0.3, unknown))
+    verdict = judge(limited(driven, Limit("clearance_m", "m", 0.05, "test", False)))
+    limit = verdict.limits[0]
+    assert (limit.ok, limit.judged, verdict.verdict) == (False, -np.inf, "no-go")
+    assert [reason for reason in verdict.reasons if "clearance" in reason] == []
+    assert [cell for cell in _limit_row(limit) if cell in ("-", "-inf", "unknown")] == ["-", "-", "unknown"]
 
 
 def test_large_misses_are_the_bad_ones(driven: Prediction) -> None:
