@@ -244,8 +244,8 @@ def mapped(result: Result) -> ResultAnswer:
         symbol = "" if one.get("units") in (None, "1", "-") else f" {one['units']}"
         span = f"{number(float(one['p05']), 3)} to {number(float(one['p95']), 3)}"
         lines.append(
-            f"{one['long_name']}: {number(float(one['median']), 3)}{symbol} is the median, and nine of ten pixels have "
-            f"{span}{symbol}{_where_determined(one['determined'])}"
+            f"{one['long_name']}: median {number(float(one['median']), 3)}{symbol}, {span}{symbol} in 90 % of the "
+            f"pixels{_where_determined(one['determined'])}"
         )
     text = f" {sentence('; '.join(lines))}" if lines else " No pixel gave a value."
     return ResultAnswer(f"Of {counted(counts['pixels'], 'pixel')} {usable} could be used.{text}")

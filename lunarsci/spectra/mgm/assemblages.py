@@ -232,9 +232,10 @@ def verdict(probabilities: Mapping[str, float], beyond: Sequence[str] = (), caus
     for one, other in pairs:
         left.remove(other)
         parts.append(
-            f"a pyroxene is sure: the fit needs {one}, but {other} is not excluded ({100 * chance[other]:.0f} %): "
-            f"laboratory mixtures fitted as well without it held up to {100 * HIDDEN[other]:.0f} % of it, and "
-            f"{WRONG_ONE[0]} of {WRONG_ONE[1]} samples with one pyroxene held the other than the fit said"
+            f"a pyroxene is sure, and the fit takes {one}; {other} may be there, too, or instead "
+            f"({100 * chance[other]:.0f} %), since laboratory mixtures that were fitted as well without it held up to "
+            f"{100 * HIDDEN[other]:.0f} % of it, and for {WRONG_ONE[0]} of {WRONG_ONE[1]} samples with one pyroxene "
+            "the fit took the wrong one"
         )
     for group in GROUPS.keys() & set(status["sure"]):
         members = [MINERALS[key] for key in GROUPS[group]]
