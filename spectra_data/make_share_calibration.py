@@ -39,6 +39,7 @@ from lunarsci.spectra.abundance.shares import (
     answer,
     how_dark,
     pooled,
+    present_terms,
     sharpened,
     terms_of,
     weight_terms,
@@ -51,6 +52,8 @@ ROCKS = ("Chip", "Slab", "Natural")
 LEAST_SPECTRA = 3
 CUTS_NM = ((0, 1000), (0, 1300), (0, 1700), (700, 2500), (1000, 2500), (800, 1700))
 """Ranges that spectra are cut to, one after the other, so that what is missing weighs as it should."""
+SLICES_NM = ((0, 510), (0, 600), (0, 800), (900, 1000), (1500, 1600), (2000, 2400))
+"""The same of slices without a whole band, which say little: of the probability that a mineral is there alone."""
 Known = dict[tuple[str, str], float]
 WEIGHT_TERMS = ("constant", "ln_strange", "plagioclase", "ln_odds_dark")
 TERMS = ("constant", "dark", "strange", "rock", "mixed", "missing", "shallow")
@@ -118,8 +121,12 @@ def cases(folder: Path, networks: Path) -> list[Cases]:
         (powders.shares > 0.05).sum(axis=1) > 1, "mixture", "mineral")))  # fmt: skip
     dark = np.maximum(how_dark(find_kinds(spectra)), rock)
     everything, named = np.ones((count, 4)), (powders.shares > 0).astype(float)
-    cut_ones = [cut(spectrum, CUTS_NM[row % len(CUTS_NM)]) for row, spectrum in enumerate(spectra)]
-    seen = {"all": (spectra, everything), "named": (spectra, named), "cut": (cut_ones, everything)}
+    shorter = {
+        way: [cut(spectrum, ranges[row % len(ranges)]) for row, spectrum in enumerate(spectra)]
+        for way, ranges in {"cut": CUTS_NM, "sliced": SLICES_NM}.items()
+    }
+    seen = {"all": (spectra, everything), "named": (spectra, named)}
+    seen |= {way: (some, everything) for way, some in shorter.items()}
     foretold = {way: Foretold.of_nothing(count) for way in seen}
     for k in range(FOLDS):
         with np.load(networks / f"fold-{k}.npz") as found:
@@ -141,11 +148,14 @@ def cases(folder: Path, networks: Path) -> list[Cases]:
     series = mixtures_of(powders, spectra, fold, library, several, together_named)
     base = (dark, rock, powders.suites, fold, group)
     whole = Cases("all", np.arange(count), foretold["all"], None, everything, powders.shares, *base)
-    short = (np.maximum(how_dark(find_kinds(cut_ones)), rock), *base[1:])
-    less = Cases("cut", np.arange(count), foretold["cut"], None, everything, powders.shares, *short)
+    less = [
+        Cases(way, np.arange(count), foretold[way], None, everything, powders.shares,
+              np.maximum(how_dark(find_kinds(some)), rock), *base[1:])
+        for way, some in shorter.items()
+    ]  # fmt: skip
     own = Cases("named", np.arange(count), foretold["named"], alone[0], named, powders.shares, *base).part(alone[1])
     both = Cases("together", np.arange(count), foretold["named"], series[0], together_named, powders.shares, *base)
-    return [whole, own, both.part(series[1]), less]
+    return [whole, own, both.part(series[1]), *less]
 
 
 def cut(spectrum: Spectrum, ends_nm: tuple[int, int]) -> Spectrum:
@@ -181,7 +191,8 @@ def mixtures_of(
 
 def learn(every: Sequence[Cases], without: int | None = None) -> Known:
     """Coefficients from all spectra but those of a fold."""
-    some = [one.part(one.fold != without) for one in every]
+    parts_of_all = [one.part(one.fold != without) for one in every]
+    some = [one for one in parts_of_all if one.way != "sliced"]
     usual = np.quantile(some[0].foretold.ln_distance, [0.16, 0.5, 0.84])
     known: Known = {("ln_distance", "usual"): usual[1], ("ln_distance", "spread"): (usual[2] - usual[0]) / 2}
     for one in some:
@@ -205,26 +216,36 @@ def learn(every: Sequence[Cases], without: int | None = None) -> Known:
         return total / size + DRAWN_TO * float(((values - centre) ** 2).sum())
 
     known |= dict(zip(keys, minimize(loss, centre, method="BFGS").x.tolist(), strict=True))
-    return known | _present([one for one in some if one.way != "cut"], known)
+    return known | _present(parts_of_all, known)
 
 
 def _present(parts: Sequence[Cases], known: Known) -> Known:
-    """Of the probability that a mineral is there; each way of asking counts alike."""
-    odds, true, weight = [], [], []
+    """Of the probability that a mineral is there: of whole spectra, then what missing channels add to that."""
+    whole = [one for one in parts if not one.foretold.missing.all()]
+    learned = _logistic_regression(whole, known, {"constant": 0.0, "ln_odds": 1.0}, {})
+    return learned | _logistic_regression(parts, known, {"missing": 0.0, "ln_odds_missing": 0.0}, learned)
+
+
+def _logistic_regression(parts: Sequence[Cases], known: Known, centre: Mapping[str, float], given: Known) -> Known:
+    """Coefficients of some of `present_terms`, by name drawn to a `centre`, beside those `given`; ways count alike."""
+    key, terms, true, weight = "logit_present", [], [], []
     for one in parts:
-        there = one.allowed > 0
-        odds.append(answered(one, known).ln_odds_of_some()[there])
+        there, result = one.allowed > 0, answered(one, known)
+        every = present_terms(result.ln_odds_of_some(), result.missing[:, None])
+        terms.append({name: term[there] for name, term in every.items()})
         true.append((one.truth > SOME)[there])
         weight.append((one.weight[:, None] * there / (one.weight[:, None] * there).sum())[there])
-    x, y, w = map(np.concatenate, (odds, true, weight))
+    x = {name: np.concatenate([one[name] for one in terms]) for name in terms[0]}
+    y, w, start = np.concatenate(true), np.concatenate(weight), np.array(list(centre.values()))
+    before = sum((value * x[name] for (_, name), value in given.items()), np.zeros(y.size))
 
     def loss(values: np.ndarray) -> float:
-        line = values[0] + values[1] * x
-        drawn = DRAWN_TO * float(((values - (0.0, 1.0)) ** 2).sum())
+        line = before + values @ np.array([x[name] for name in centre])
+        drawn = DRAWN_TO * float(((values - start) ** 2).sum())
         return float((w * (np.logaddexp(0.0, line) - y * line)).sum()) + drawn
 
-    found = minimize(loss, np.array([0.0, 1.0]), method="BFGS").x.tolist()
-    return {("logit_present", term): value for term, value in zip(("constant", "ln_odds"), found, strict=True)}
+    best = minimize(loss, start, method="BFGS").x.tolist()
+    return {(key, name): value for name, value in zip(centre, best, strict=True)}
 
 
 def _weights(one: Cases) -> list[float]:
@@ -326,6 +347,8 @@ def judged(every: Sequence[Cases], found: Sequence[Nested]) -> list[dict[str, st
     """A row for each way of asking and sort of spectra."""
     rows = []
     for one, own in zip(every, found, strict=True):
+        if one.way == "sliced":
+            continue
         error = np.abs(own.mean - one.truth)
         good, inside = error.max(axis=1) <= GOOD, own.near >= LIKELY
         sorts = {name: one.group == name for name in ("mixture", "mineral", "meteorite", "rock")}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
+from lunarsci.minerals import ABBREVIATIONS
 from lunarsci.spectra.jobs.requests import UnmixRequest
 
 from ..shared.command import command
@@ -75,10 +76,10 @@ def share_tables(result: UnmixedSpectra) -> list[TextTable]:
     minerals = list(dict.fromkeys(share.mineral for one in shown for share in one.fractions))
     rows = []
     for one in shown:
-        cells = {share.mineral: "{} ({})".format(*_percent(share)[:2]) for share in one.fractions}
+        cells = {share.mineral: "{} ({})".format(*_percent(share)[:2]).replace(" to ", "-") for share in one.fractions}
         rows.append([one.id, *(cells.get(name, "-") for name in minerals), "yes" if one.in_domain else "no"])
-    headers = ["spectrum", *(f"{name} [%]" for name in minerals), "in domain"]
-    title = "shares of minerals by volume, with 68 % intervals"
+    headers = ["spectrum", *(f"{ABBREVIATIONS[name]} [%]" for name in minerals), "in domain"]
+    title = f"shares of {', '.join(minerals)} by volume, with 68 % intervals"
     return [TextTable(headers, rows, title=title)] if rows else []
 
 

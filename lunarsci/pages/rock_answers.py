@@ -100,7 +100,9 @@ def _one_unmixed(one: Result) -> str:
 def _unmixed_in_short(one: Result) -> str:
     if one["kind"]["name"] == "weathered-soil":
         return "a weathered soil, whose minerals are not unmixed"
-    return ", ".join(_mineral_shares(one)) or str(one["abundance"]["status"])
+    if one["abundance"]["in_domain"]:
+        return "in domain, each share likely within 15 %"
+    return "out of domain, quote 95 % intervals alone" if _mineral_shares(one) else str(one["abundance"]["status"])
 
 
 def _fit_in_short(one: Result) -> str:

@@ -48,6 +48,7 @@ from lunarsci.spectra.band_status import (
     MEASURED,
     MIN_SIGNIFICANCE,
     NO_BAND,
+    NO_PYROXENE,
     NUMBER,
     RUNAWAY_SHARE,
     STATUS,
@@ -658,7 +659,7 @@ class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
             return ""
         if code == STATUS.too_narrow:
             at, width = self.arrays.numbers[place, number, [NUMBER.narrow_nm, NUMBER.narrow_width_nm]].tolist()
-            return f"no band: {narrow_text(at, width)}, no pyroxene's"
+            return f"no band: {narrow_text(at, width)}, {NO_PYROXENE}"
         text = sentence(code, BANDS[number], self.arrays.numbers[place, number, deepest], wavelength_nm)
         if which == CODE.status:
             return text

@@ -50,6 +50,7 @@ def test_a_narrow_absorption_is_no_band_of_a_pyroxene(centre: float, cause: str,
     )
     assert abs(at - centre) <= 10 and abs(wide - width) <= 15 and cause in status
     assert "pyroxene is open" in bands_verdict(record) and "a narrow absorption" in doubt
+    assert record["band2000_status"].endswith("no pyroxene's in 15 of 16 laboratory spectra with such a one")
 
 
 @pytest.mark.parametrize("centre", [1850.0, 1950.0, 2050.0, 2150.0, 2250.0, 2320.0])

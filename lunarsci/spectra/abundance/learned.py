@@ -5,7 +5,8 @@ were told which minerals there are give the others none. `spectra_data/make_shar
 
 Any sampling is brought to channels of 20 nm. Where channels are missing, or a spectrum is noisy, spectra are drawn that
 may be behind it, from the normal law of the spectra learned from (a factor analysis), and the networks see each of
-them: Rubin (1987), Multiple Imputation for Nonresponse in Surveys, 10.1002/9780470316696.
+them: Rubin (1987), Multiple Imputation for Nonresponse in Surveys, 10.1002/9780470316696. Behind a spectrum that lies
+beyond the law they spread by as much more.
 """
 
 from collections.abc import Mapping, Sequence
@@ -246,7 +247,8 @@ def foretell(
         if not there.all() or noise_here.any():
             mean, root = background.behind(seen[rows], there, noise_here)
             normal = np.random.default_rng(0).standard_normal((DRAWS, GRID_NM.size))
-            drawn = mean[:, None] + np.concatenate([normal, -normal]) @ root.T
+            wider = np.exp(np.maximum(distance[rows], 0.0) / 2)[:, None, None]
+            drawn = mean[:, None] + wider * (np.concatenate([normal, -normal]) @ root.T)
         count = max(1, AT_ONCE // drawn.shape[1])
         for start in range(0, rows.size, count):
             part = slice(start, start + count)

@@ -8,7 +8,8 @@ pooled probabilities p of the shares are made sharper or blunter, and mixed with
 
     ln s, logit d = c0 + c1 dark + c2 strange + c3 rock + c4 w + c5 missing + c6 shallow
 
-That a mineral is there has the odds that p' gives to shares above 5 %, brought to a power and multiplied.
+That a mineral is there has the odds that p' gives to shares above 5 %, brought to a power and multiplied, both by how
+much of the spectrum is missing.
 
 `share_calibration.csv` has the coefficients, each learned from spectra of known modes by the logarithmic score, with
 networks and end members that knew nothing of their sample series; and the levels at which intervals hold 68 and 95 %.
@@ -229,8 +230,8 @@ class CalibratedShares:
 
     def present(self, calibration: Coefficients) -> FloatArray:
         """Probability of more than `SOME` of each mineral, (n, 4), as often right as it says."""
-        constant, slope = (calibration["logit_present", term] for term in ("constant", "ln_odds"))
-        return _logistic(constant + slope * self.ln_odds_of_some())
+        terms = present_terms(self.ln_odds_of_some(), self.missing[:, None])
+        return _logistic(np.sum([calibration["logit_present", key] * term for key, term in terms.items()], axis=0))
 
     def drawn(self, row: int) -> FloatArray:
         """Shares (RETAINED, 4) of one spectrum: of rocks, or each mineral by itself: they sum to 1 on the mean."""
@@ -259,7 +260,8 @@ class CalibratedShares:
 
         To either side of the mean they hold the same part of the probability that there is, the level: F the
         probability of less than the mean, they reach from the quantile F (1 - level) to F + (1 - F) level. The least
-        and the largest share that networks know stand for 0 and 1.
+        and the largest share that networks know stand for 0 and 1. Shares sum to 1: none has less, or more, than the
+        ends of the others leave.
         """
         middle, intervals = _at(self.below, self.mean), []
         least, most = np.minimum(self.mean, self.median), np.maximum(self.mean, self.median)
@@ -270,6 +272,8 @@ class CalibratedShares:
             first, last = middle * (1.0 - level), middle + (1.0 - middle) * level
             low = np.where(self.probabilities[..., 0] >= first, 0.0, _share_at(self.below, first))
             high = np.where(self.probabilities[..., -1] >= 1.0 - last, 1.0, _share_at(self.below, last))
+            left = [1.0 - (end.sum(axis=1, keepdims=True) - end) for end in (high, low)]
+            low, high = np.maximum(low, left[0]), np.minimum(high, left[1])
             intervals.append(np.stack([np.minimum(low, least), np.maximum(high, most)], axis=-1))
         return intervals[0], intervals[1]
 
@@ -333,6 +337,12 @@ def weight_terms(foretold: Foretold, mixed: Mixed, dark: FloatArray) -> dict[str
     odds = np.log((dark + 1e-3) / (1.0 - dark + 1e-3))
     return {"constant": np.ones_like(dark), "ln_strange": np.log(mixed.strange), "plagioclase": plagioclase,
             "ln_odds_dark": odds}  # fmt: skip
+
+
+def present_terms(ln_odds: FloatArray, missing: FloatArray) -> dict[str, FloatArray]:
+    """What the probability that a mineral is there depends on; the less is seen, the less may its odds count."""
+    return {"constant": np.ones_like(ln_odds), "ln_odds": ln_odds, "missing": missing + 0 * ln_odds,
+            "ln_odds_missing": missing * ln_odds}  # fmt: skip
 
 
 def _logistic(x: FloatArray) -> FloatArray:

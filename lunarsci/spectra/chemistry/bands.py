@@ -332,13 +332,22 @@ class ChondriteLaw:
         value = self.mean[2:] + (gain @ apart[..., None])[..., 0]
         return value, np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
 
-    def likeness(self, bands: FloatArray) -> FloatArray:
-        """Share of ordinary chondrites whose bands lie farther from the mean than (m, 2), 1 of no bands, (m,)."""
+    def likeness(self, bands: FloatArray, olivine: FloatArray | None = None) -> FloatArray:
+        """Share of ordinary chondrites whose bands lie farther from the mean than (m, 2), 1 of no bands, (m,).
+
+        With `olivine`, its share in the mafic minerals by another way and the error of that, (m, 2), NaN for none, also
+        by how far it lies from the share that the bands of an ordinary chondrite mean.
+        """
         from scipy.special import chdtrc
 
         apart, inner = self._apart(bands, np.zeros_like(bands))
         square = np.sum(apart * np.linalg.solve(inner, apart[..., None])[..., 0], axis=1)
-        return np.asarray(chdtrc(np.maximum(np.isfinite(bands).sum(axis=1), 1), square))
+        count = np.maximum(np.isfinite(bands).sum(axis=1), 1)
+        if olivine is not None:
+            (value, sigma), place = self.composition(bands, np.zeros_like(bands)), COMPOSITION.index("ol_share")
+            off = (olivine[:, 0] - value[:, place]) ** 2 / (olivine[:, 1] ** 2 + sigma[:, place] ** 2)
+            square, count = square + np.nan_to_num(off), count + np.isfinite(off)
+        return np.asarray(chdtrc(count, square))
 
     def _apart(self, bands: FloatArray, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
         """x - m_x, (m, 2), and S_xx + E, (m, 2, 2); a band that is not there has an endless error."""
@@ -394,12 +403,17 @@ def bands_of_chondrites(bands: Mapping[str, BandColumns]) -> tuple[FloatArray, F
     return np.stack([two.center_nm, np.log(ratio)], axis=1), np.stack([centre, error / ratio], axis=1)
 
 
-def chondrites(bands: Mapping[str, BandColumns]) -> dict[str, Estimates]:
-    """What the law of ordinary chondrites says: `fa_chondrite`, `fs_chondrite`, `ol_chondrite`."""
+def chondrites(bands: Mapping[str, BandColumns], olivine: FloatArray | None = None) -> dict[str, Estimates]:
+    """What the law of ordinary chondrites says: `fa_chondrite`, `fs_chondrite`, `ol_chondrite`.
+
+    `olivine` : as of `ChondriteLaw.likeness`.
+    """
     result, errors = bands_of_chondrites(bands)
     law = embedded_law()
     values, sigmas = law.composition(result, errors)
-    reason = np.where(law.likeness(result) < SIGNIFICANCE, "the bands are not those of an ordinary chondrite", "")
+    whose = "bands" if olivine is None else "bands and the share of olivine"
+    objection = f"the {whose} are not those of an ordinary chondrite"
+    reason = np.where(law.likeness(result, olivine) < SIGNIFICANCE, objection, "")
     caveat = "not corrected for temperature: 100 K above the laboratory's add 20 nm to the 2 µm centre"
     texts = {"domain": "an ordinary chondrite", "caveat": caveat, "source": "chondrite-bands"}
     return {

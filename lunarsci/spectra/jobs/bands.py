@@ -13,7 +13,7 @@ from lunarsci.io.tables import table_hashes
 from lunarsci.names import some_of
 from lunarsci.options import request_of
 from lunarsci.result import Doubt, MadeFrom, Result, job
-from lunarsci.spectra.band_status import BANDS, CODE, STATUS
+from lunarsci.spectra.band_status import BANDS, CODE, NO_PYROXENE, STATUS
 from lunarsci.spectra.bands import BandsOfSpectra, SpectrumBands, measure_batch
 from lunarsci.spectra.chemistry.bands import KEYS, chemistries, plane_pages
 from lunarsci.spectra.chemistry.bands import TABLE as CHONDRITES
@@ -113,7 +113,7 @@ class MeasuredBands(Result):
         narrow = self.measured.arrays.codes[:, -1, CODE.status] == STATUS.too_narrow
         named = some_of([self.batch.spectra.ids[place] for place in narrow.nonzero()[0]], MOST_NAMED)
         return Doubt.of(
-            f"a narrow absorption, no pyroxene's, is what there is at 2 µm in {named}" if narrow.any() else ""
+            f"a narrow absorption is what there is at 2 µm in {named}, {NO_PYROXENE}" if narrow.any() else ""
         )
 
     def to_dict(self) -> dict[str, Any]:

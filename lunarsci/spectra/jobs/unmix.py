@@ -37,13 +37,14 @@ from lunarsci.spectra.abundance.mixing import IRON_TABLE
 from lunarsci.spectra.abundance.normative import TABLE as SOIL
 from lunarsci.spectra.abundance.normative import Normative, normative, normative_pages
 from lunarsci.spectra.abundance.result import Abundance, MineralFraction, refused, share_pages
-from lunarsci.spectra.abundance.shares import PRIOR, SOME, Mixed, abundances, answer, how_dark, solid_rock
+from lunarsci.spectra.abundance.shares import MAFIC, PRIOR, SOME, Mixed, abundances, answer, how_dark, solid_rock
 from lunarsci.spectra.abundance.shares import ROCK_MODES as ROCKS
 from lunarsci.spectra.abundance.shares import TABLE as CALIBRATION
 from lunarsci.spectra.bands import measure_batch
 from lunarsci.spectra.chemistry.bands import TABLE as CHONDRITES
 from lunarsci.spectra.chemistry.bands import chondrite_record, chondrites
 from lunarsci.spectra.jobs.requests import UnmixRequest
+from lunarsci.spectra.origin.composition import ERRORS, Composition, measured_errors
 from lunarsci.spectra.readers.batch import SpectraBatch, SpectraSource, read_batch
 from lunarsci.spectra.readers.library import NEEDED_NM, EndMember, read_library
 from lunarsci.spectra.spectrum import Spectrum
@@ -102,7 +103,7 @@ class UnmixedSpectra(Result):
         mixes, iron, soils = self.request.mixes, self.request.iron, bool(self.normatives)
         rocks = self.request.prior == PRIOR
         used = {KINDS: True, NETWORKS: True, CALIBRATION: True, END_MEMBERS: mixes, IRON_TABLE: iron, SOIL: soils,
-                ROCKS: rocks, CHONDRITES: bool(self.chondrites)}  # fmt: skip
+                ROCKS: rocks, CHONDRITES: bool(self.chondrites), ERRORS: bool(self.chondrites)}  # fmt: skip
         sources = [LEARNED, *(LAWS[self.request.method] if mixes else ()), *([MODES] if rocks else ())]
         sources += [*([WEATHERING] if iron else ()), *(SOILS if soils else ())]
         return MadeFrom(
@@ -211,7 +212,7 @@ def unmix(
         shares=shares,
         kinds=kinds,
         normatives={index: normative(batch.spectra[index], kinds[index]) for index in weathered},
-        chondrites=_chondrites(batch.spectra, kinds),
+        chondrites=_chondrites(batch.spectra, kinds, shares),
         failures=batch.failures_among({}),
         files=[file for file in (library, modes_file) if file],
     )
@@ -232,13 +233,25 @@ def presence(spectra: Sequence[Spectrum]) -> list[dict[str, float | None]]:
     return result
 
 
-def _chondrites(spectra: Sequence[Spectrum], kinds: Sequence[KindVerdict]) -> dict[int, dict[str, Any] | None]:
+def _chondrites(
+    spectra: Sequence[Spectrum], kinds: Sequence[KindVerdict], shares: Sequence[Abundance]
+) -> dict[int, dict[str, Any] | None]:
     dark = [index for index, kind in enumerate(kinds) if kind.kind == "dark-rock-powder"]
     if not dark:
         return {}
     measured = measure_batch([spectra[index] for index in dark], continuum_name="hull")
-    result = chondrites(measured.arrays.bands)
+    result = chondrites(measured.arrays.bands, np.array([_olivine_in_mafic(shares[index]) for index in dark]))
     return {index: chondrite_record(result, row) for row, index in enumerate(dark)}
+
+
+def _olivine_in_mafic(shares: Abundance) -> tuple[float, float]:
+    """The share of olivine in olivine and pyroxenes, and its error by those measured of powders of dark rocks."""
+    errors = measured_errors("dark-rock-powder")
+    modes = {one.mineral: (one.fraction, errors[one.mineral]) for one in shares.fractions if one.mineral in MAFIC}
+    if not shares.determined or not sum(share for share, _ in modes.values()) > 0 or len(modes) < len(MAFIC):
+        return np.nan, np.nan
+    share, covariance = Composition(modes).shares(MAFIC)
+    return float(share[0]), float(covariance[0, 0] ** 0.5)
 
 
 def _shares(

@@ -37,7 +37,8 @@ ONES = np.ones((1, 4))
 LEVELS = {(f"level{name}", "alone"): level for name, level in ((68, 0.68), (95, 0.95))} | {
     (f"level{name}", term): 0.0 for name in (68, 95) for term in ("mixed", "missing")
 }
-AS_IT_IS = {("logit_present", "constant"): 0.0, ("logit_present", "ln_odds"): 1.0}
+AS_IT_IS = {("logit_present", term): float(term == "ln_odds")
+            for term in ("constant", "ln_odds", "missing", "ln_odds_missing")}  # fmt: skip
 
 
 def at(*chances: dict[int, float]) -> np.ndarray:
@@ -66,6 +67,23 @@ def test_means_chances_and_intervals_are_those_of_triangles() -> None:
     assert outer[0, 0] == pytest.approx([0.36, 0.64], abs=0.01), "both triangles but for their ends"
     wide = calibrated(at({6: 0.5, 14: 0.5}, {6: 0.5, 14: 0.5}, {0: 1.0}, {0: 1.0}))
     assert wide.near() == pytest.approx([0.0], abs=1e-9), "0.3 or 0.7, never within 0.15 of 0.5"
+
+
+def test_no_interval_has_what_the_others_leave_no_room_for() -> None:
+    """A mineral alone, of which 0.6 are thought possible, beside three that have next to nothing."""
+    inner, outer = calibrated(at({12: 0.2, 20: 0.8}, *[{0: 0.98, 1: 0.02}] * 3)).intervals(LEVELS)
+    for ends in (inner[0], outer[0]):
+        least, most = ends.T
+        assert least[0] >= 1.0 - most[1:].sum() - 1e-9 > 0.7
+        assert (most <= 1.0 - (least.sum() - least) + 1e-9).all()
+
+
+def test_a_slice_without_a_band_decides_on_no_mineral() -> None:
+    """Noise of 5 % that no error states, from 450 to 510 nm, as in spectra of Chang'E-4."""
+    few, rng = NM[NM <= 510], np.random.default_rng(0)
+    slices = [Spectrum(f"{k}", few, 0.06 * np.exp(0.05 * rng.standard_normal(few.size))) for k in range(20)]
+    for one in lunarsci.unmix(slices, kind="solid-rock").shares:
+        assert all(0.1 < item.present < 0.9 and item.high95 - item.low95 > 0.95 for item in one.fractions), one.id
 
 
 def test_sharpness_and_doubt_are_as_written() -> None:

@@ -323,7 +323,10 @@ def test_chondrites_are_in_domain_and_published_errors_are_those_measured(
 
 @pytest.mark.reference
 def test_unmix_says_what_a_chondrite_is_made_of(reference_data: Path) -> None:
-    """OC-TXH-009-C, LL5: Fa 29.9, Fs 24.4; a eucrite is no chondrite, and a powder mixture is not asked."""
+    """OC-TXH-009-C, LL5: Fa 29.9, Fs 24.4; a eucrite is no chondrite, and a powder mixture is not asked.
+
+    An acapulcoite (NWA 725) has the bands of a chondrite, of 52 % of olivine in mafic minerals, and a share of 22 %.
+    """
     spectra = {one.id: one for one in read_spectra(str(reference_data / "spectra/meteorites/reflectance.csv"))}
     found = lunarsci.unmix([spectra["OC-TXH-009-C"], spectra["MT-HYM-030"]], kind="dark-rock-powder")
     ordinary, other = (record["chondrite"] for record in found.records)
@@ -332,6 +335,8 @@ def test_unmix_says_what_a_chondrite_is_made_of(reference_data: Path) -> None:
     assert ordinary["fs"]["low95"] < 24.41 < ordinary["fs"]["high95"]
     assert ordinary["olivine_in_mafic"]["low95"] < 0.621 < ordinary["olivine_in_mafic"]["high95"]
     assert not other["in_domain"] and "not those of" in other["status"]
+    [acapulcoite] = lunarsci.unmix(spectra["MT-JMS-326"], kind="dark-rock-powder").records
+    assert "the share of olivine are not those of" in acapulcoite["chondrite"]["status"]
     assert found.rows()[0]["chondrite_fa_low"] == ordinary["fa"]["low"]
     assert lunarsci.unmix(spectra["OC-TXH-009-C"], kind="powder-mixture").records[0]["chondrite"] is None
 
