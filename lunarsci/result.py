@@ -324,7 +324,7 @@ class Result(ABC):
         return {}
 
     def to_xarray(self) -> "Dataset":
-        """A grid as a Dataset: heights, maps of ground, designs. Raises ParameterError where there is no grid."""
+        """A grid as a Dataset: heights, maps of ground, designs, drives by time. ParameterError where there is none."""
         layers = self.layers()
         refuse({f"a {type(self).__name__} is no grid; to_pandas() has its table, and `map_cube` maps": not layers})
         try:

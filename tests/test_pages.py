@@ -77,6 +77,11 @@ def test_pages_use_the_words_of_the_field() -> None:
         assert page.name == "style.md" or PRIVATE.findall(page.read_text("utf-8")) == [], page
 
 
+def test_tutorials_name_the_extra_of_a_page() -> None:
+    pages = [page.read_text("utf-8") for page in (ROOT / "docs/tutorials").glob("*.md")]
+    assert [page[:40] for page in pages if "lunarsci report" in page and "lunarsci[report]" not in page] == []
+
+
 def test_make_targets_exist() -> None:
     targets = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
     named = {name for page in PAGES for name in re.findall(r"^make (\w+)|`make (\w+)`", page.read_text("utf-8"))}

@@ -37,7 +37,7 @@ EXAMPLES = (
     "lunarsci twin predict plan.toml --sweep friction_angle_deg=30:50:3 \\\n  -o predicted",
 )
 NEXT = (
-    "what may help: what a drive teaches of the soil (`twin update`, with the track's depth), halts to be localised "
+    "a short drive first, from which `twin update` learns the soil with the track's depth, halts to be localised "
     "(--fixes), or another way (`twin plan --risk`)"
 )
 ONE_SOIL = "on this one soil; it says nothing of others: --soil priors --members 64"
@@ -137,7 +137,7 @@ def _verdict_tables(predicted: PredictedDrives) -> list[TextTable]:
         *_terrain_notes(predicted),
         *_keep_out_notes(verdict),
         *verdict.reasons,
-        *([] if verdict.verdict == "go" else [NEXT]),
+        *([] if verdict.verdict == "go" else [_next(predicted)]),
         *verdict.notes,
         *load_notes(check_loads(prediction)),
         *_energy_notes(predicted),
@@ -148,7 +148,20 @@ def _verdict_tables(predicted: PredictedDrives) -> list[TextTable]:
     headers = [header.format(share=f"{100 * share:g} %", drives=of) for header in HEADERS]
     if prediction.members == 1:
         headers, *rows = ([row[0], *row[3:]] for row in (headers, *rows))
-    return [TextTable(headers, rows, title=title, notes=notes)]
+    return [TextTable(headers if rows else [], rows, title=title, notes=notes)]
+
+
+def _next(predicted: PredictedDrives) -> str:
+    """What may help after a no-go: of drives that leave the ground that is known, where that is."""
+    states, terrain = predicted.verdict.validity, predicted.prediction.terrain
+    off = states.members_off_map + states.members_in_hole
+    (x0, x1), (y0, y1) = ((axis[0], axis[-1]) for axis in (terrain.x_m, terrain.y_m))
+    ground = (
+        f"a plan and heights of the same place: these span x {x0:.4g} to {x1:.4g} m and y {y0:.4g} to {y1:.4g} m, and "
+        f"the plan starts at x {predicted.prediction.plan.x_m:.4g} m, y {predicted.prediction.plan.y_m:.4g} m"
+    )
+    parts = ([ground] if off else []) + ([NEXT] if off < predicted.verdict.members else [])
+    return f"what may help: {'; '.join(parts)}"
 
 
 def _limit_row(limit: Judgement) -> list[str]:

@@ -255,7 +255,9 @@ def _load(path: Path, keys: set[str], unread: tuple[str, ...]) -> dict[str, Any]
     except (DataError, OSError):
         raise
     except Exception as error:  # whatever NumPy raises of a damaged archive: each part of it has its own
-        raise DataError("not a NumPy archive that can be read; write it with numpy.savez") from error
+        what = "not a NumPy archive that can be read; write it with numpy.savez"
+        ends = ", ".join(sorted({".npz", ".nc", ".grd", ".asc", *TEXTS, *DRIVERS}))
+        raise DataError(what if path.suffix == ".npz" else f"no heights; give a grid of them in {ends}") from error
     complex_ones = (key for key, array in arrays.items() if np.iscomplexobj(array))
     refuse((f"{key} has complex numbers; write real ones" for key in complex_ones), "", DataError)
     return arrays

@@ -60,6 +60,14 @@ def test_a_circle_in_the_way_is_a_no_go(run, plan: Path, y: float, code: int) ->
     assert limit["min"] == pytest.approx(y - 0.3 - 0.525, abs=0.1) and limit["ok"] == (code == 0)
 
 
+def test_a_start_beside_the_terrain_is_said_and_no_soil_is_blamed(run, tmp_path: Path) -> None:
+    beside = tmp_path / "beside.toml"
+    beside.write_text("[start]\nx_m = -500.0\n" + PLAN)
+    done = run("twin", "predict", beside)
+    advice = next(line for line in done.out.splitlines() if line.startswith("what may help: "))
+    assert done.code == 3 and "the plan starts at x -500 m, y 0 m" in advice and "twin update" not in advice
+
+
 @pytest.mark.parametrize("name", ["drive.bmp", "drive"])
 def test_a_film_of_another_kind_is_wrong_usage(run, plan: Path, tmp_path: Path, name: str) -> None:
     wrong = run("twin", "predict", plan, "--animate", tmp_path / name)

@@ -114,6 +114,13 @@ def test_nodes_that_are_on_no_square_cells(x: list[float], y: list[float], why: 
     assert spacing_of(np.array([0.0, 0.5, 1.00004]), np.array([3.0, 3.5, 4.0])) == pytest.approx(0.5, rel=1e-4)
 
 
+def test_a_file_that_is_no_grid_is_answered_with_those_that_are(tmp_path: Path) -> None:
+    path = tmp_path / "site.toml"
+    path.write_text("name = 'site'\n")
+    with pytest.raises(DataError, match=r"no heights; give a grid of them in .*\.asc.*\.npz.*\.tif"):
+        read_grid(path)
+
+
 def test_complex_heights(tmp_path: Path) -> None:
     axis = 0.5 * np.arange(6)
     np.savez(tmp_path / "complex.npz", x_m=axis, y_m=axis, height_m=np.full((6, 6), 1j))

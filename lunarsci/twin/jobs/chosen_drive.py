@@ -280,6 +280,7 @@ class ChosenDrive(TerrainSurvey):
         broken = {one.quantity for one in self.choice.best.broken}
         help_for = {
             "another target, or ground that is less steep or less soft": soil | {"tilt_deg", "clearance_m"},
+            "a short drive near the start first, from which `twin update` learns the soil": soil | {"endpoint_miss_m"},
             "--fixes, a nearer target or a wider --tolerance": {"endpoint_miss_m", "keep_out_m"},
             "more charge or Sun": {"battery_charge"},
         }

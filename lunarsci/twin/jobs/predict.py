@@ -140,6 +140,9 @@ class PredictedDrives(Result):
     def rows(self) -> Sequence[Mapping[str, Any]]:
         return [asdict(limit) for limit in self.verdict.limits]
 
+    def layers(self) -> dict[str, Any]:
+        return judged.drive_layers(self.prediction)
+
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.twin.figures.prediction import box_pages, path_fan, profile_page
 

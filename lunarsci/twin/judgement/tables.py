@@ -8,7 +8,7 @@ refuse states of another rover or ground.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -132,6 +132,34 @@ def state_table(prediction: Prediction, members: range | None = None) -> "pd.Dat
     for name, text in (("rover", prediction.rover.written), ("ground", prediction.terrain.written)):
         table[name] = pd.Categorical.from_codes(np.zeros(len(table), dtype=np.int8), pd.Index([text]))
     return table
+
+
+def drive_layers(prediction: Prediction) -> dict[str, tuple[tuple[str, ...], Any]]:
+    """The same states and poses as `state_table` and `path_table` have, by member, time and wheel; NaN where none came.
+
+    Of each name its axes and values; `wheel_x_m` and `wheel_y_m` are wheel centres, `x_m` and `y_m` the rover's origin.
+    """
+    of_drive, of_wheel = ("member", "time_s"), ("member", "time_s", "wheel")
+    reached, places = prediction.reached, np.moveaxis(prediction.places_m, -1, 0)
+    poses = dict(zip(PATH_COLUMNS, np.moveaxis(prediction.paths, -1, 0), strict=True))
+    poses |= dict(zip(PATH_COLUMNS[:2], places, strict=True))
+    states = dict(zip(STATE_COLUMNS, np.moveaxis(prediction.states, -1, 0), strict=True))
+    valid = (states.pop("valid") > 0.5) & (reached & ~prediction.halted)[..., None]
+    names = {"x_m": "wheel_x_m", "y_m": "wheel_y_m"}
+    return {
+        "member": (("member",), np.arange(prediction.members)),
+        "time_s": (("time_s",), prediction.time_s),
+        "wheel": (("wheel",), np.array(prediction.rover.wheels)),
+        "distance_m": (("time_s",), prediction.distance_m),
+        **{name: (("member",), values) for name, values in prediction.parameters.items()},
+        "outcome": (("member",), np.array([prediction.outcome_text(m) for m in range(prediction.members)])),
+        **{name: (of_drive, np.where(reached, values, np.nan)) for name, values in poses.items()},
+        **{
+            names.get(name, name): (of_wheel, np.where(reached[..., None], values, np.nan))
+            for name, values in states.items()
+        },
+        "valid": (of_wheel, valid),
+    }
 
 
 def held_table(result: PrescribedLoads) -> "pd.DataFrame":

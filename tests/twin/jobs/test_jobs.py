@@ -2,6 +2,8 @@
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -10,6 +12,7 @@ import pytest
 import lunarsci
 from lunarsci.errors import DataError
 from lunarsci.guide.template import template
+from lunarsci.twin.jobs.chosen_drive import ChosenDrive
 
 
 @pytest.fixture(scope="module")
@@ -61,3 +64,12 @@ def test_a_result_shows_numbers_and_has_rows() -> None:
     assert [row["slip_ratio"] for row in forces] == pytest.approx([0.0, 0.1, 0.2])
     assert "3 rows, the first: " in repr(forces) and "sinkage_m 0.01" in repr(forces)
     assert forces
+
+
+@pytest.mark.parametrize(("broken", "advice"), [("slip_ratio", "a short drive"), ("battery_charge", "more charge")])
+def test_what_may_help_goes_by_what_is_broken(broken: str, advice: str) -> None:
+    best = SimpleNamespace(broken=[SimpleNamespace(quantity=broken)])
+    choice = SimpleNamespace(best=best, candidates=[], front=[])
+    what_next: Any = ChosenDrive.what_next
+    text = what_next.fget(SimpleNamespace(choice=choice))
+    assert advice in text and ("`twin update` learns the soil" in text) == (broken == "slip_ratio")

@@ -11,7 +11,7 @@ from lunarsci.twin.figures.prediction import box_pages, grouped, path_fan, profi
 from lunarsci.twin.ground.hazards import ExclusionZone
 from lunarsci.twin.judgement.quantities import abscissa, along
 from lunarsci.twin.judgement.safety import judge
-from lunarsci.twin.judgement.tables import path_table, profile_table, state_table
+from lunarsci.twin.judgement.tables import drive_layers, path_table, profile_table, state_table
 from lunarsci.twin.plans.plan import Limit, rover_limits
 from lunarsci.twin.simulation.ensemble import Prediction
 
@@ -42,6 +42,19 @@ def test_the_table_is_what_pandas_makes_of_states_and_paths(uneven: Prediction) 
     for quantity in ("roll_deg", "pitch_deg"):
         truth = summary(paths.groupby("distance_m")[quantity])
         assert np.allclose(table.loc[(quantity, ""), columns], truth[columns], rtol=1e-12)
+
+
+def test_the_layers_are_the_tables_by_member_time_and_wheel(uneven: Prediction) -> None:
+    layers, states, paths = drive_layers(uneven), state_table(uneven), path_table(uneven)
+    count = len(uneven.rover.wheels)
+    for name in ("sinkage_m", "slip_ratio", "valid"):
+        axes, values = layers[name]
+        assert axes == ("member", "time_s", "wheel") and values.shape[:2] == uneven.reached.shape
+        assert np.array_equal(values[uneven.reached].ravel(), states[name])
+    assert np.array_equal(layers["x_m"][1][uneven.reached], paths["x_m"])
+    assert np.array_equal(layers["wheel_x_m"][1][uneven.reached].ravel(), states["x_m"])
+    assert np.isnan(layers["slip_ratio"][1][~uneven.reached]).all() and not layers["valid"][1][~uneven.reached].any()
+    assert len(layers["wheel"][1]) == count and list(layers["time_s"][1]) == list(uneven.time_s)
 
 
 def test_the_table_has_every_quantity_with_its_unit(uneven: Prediction) -> None:
