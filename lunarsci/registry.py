@@ -169,11 +169,11 @@ KINDS: Mapping[str, KindOfFile] = {
     "folder": KindOfFile("folder of files", ()),
 }
 TAKEN_BY = {
-    "spectra-fit": ("spectra match",),
-    "spectra-bands": ("spectra match",),
-    "spectra-unmix": ("spectra match",),
-    "regolith-identify": ("regolith compare",),
-    "regolith-infer": ("regolith compare",),
-    "twin-predict": ("twin compare",),
+    "spectra fit": ("spectra match",),
+    "spectra bands": ("spectra match",),
+    "spectra unmix": ("spectra match",),
+    "regolith identify": ("regolith compare",),
+    "regolith infer": ("twin predict --soil", "regolith compare"),
+    "twin predict": ("twin compare",),
 }
-"""Commands that take the result of another, by its schema."""
+"""Commands that take the result of another, by that one's name."""

@@ -69,7 +69,9 @@ def doubt_about(record: Mapping[str, Any]) -> str:
     if not doubt and record.get("in_range") is False and "lowest" in record:
         doubt = f"beyond {record['lowest']:g}-{record['highest']:g}, where the trend was measured"
     outside = any(record.get(flag) is False for flag in ("in_range", "in_domain"))
-    return doubt or "out of range" if outside or record.get("status") in NO_VALUE else ""
+    if outside or record.get("status") in NO_VALUE:
+        return doubt or "out of range"
+    return "not determined: most of it is the prior's" if record.get("determined") is False else ""
 
 
 def from_prior(sigma: float | None, prior_sigma: float) -> bool:

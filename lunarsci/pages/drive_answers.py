@@ -456,7 +456,7 @@ def rocks(result: Result) -> ResultAnswer:
     return ResultAnswer(f"{_synthetic(result.get('terrain') or {})}{count}")
 
 
-@answers("The soil from wheel states", "regolith-identify", "regolith-infer")
+@answers("The soil from wheel states", "regolith-identify")
 def soil(result: Result) -> ResultAnswer:
     if isinstance(result.get("joint"), Mapping):
         return _inferred(result["joint"])

@@ -256,10 +256,9 @@ def test_heights_in_km_are_asked_about_and_an_option_answers(run, tmp_path: Path
     result = json.loads(asked.out)["result"]
     assert asked.code == 3 and result["verdict"] == "not-determined"
     [question] = result["questions"]
-    assert (question["likely_unit"], question["option"]) == ("km", "--height-unit m")
-    assert (
-        asked.err[-1].startswith("not-determined: median slope") and "is it in km? (--height-unit m)" in asked.err[-1]
-    )
+    assert (question["likely_unit"], question["option"]) == ("km", "--height-unit km, or m if it is m")
+    assert asked.err[-1].startswith("not-determined: median slope")
+    assert "is it in km? (--height-unit km, or m if it is m)" in asked.err[-1]
     for answer, tilt in ((("--height-unit", "m"), 0.012), (("--as-written",), 0.012), (("--height-unit", "km"), 12.0)):
         told = json.loads(run(*drive, *answer).out)["result"]
         assert told["questions"] == [] and told["verdict"] in ("go", "no-go")

@@ -31,6 +31,12 @@ def test_what_infer_writes_is_a_soil_to_drive_on(run, at: Path) -> None:
     """The same as its belief, but about the medians; its doubt goes with it."""
     infer = ("regolith", "infer", "states.csv", "--law", "given", "-q")
     assert run(*infer, "-o", "soil.json", "--posterior", "belief.json").code == 0
+    assert "lunarsci twin predict --soil" in run("info", "soil.json").out
+    of = ("info", "soil.json", "--field", "result.joint.parameters")
+    parameters = json.loads(run(*of).out)
+    quoted = {name: run(*of[:-1], f"{of[-1]}.{name}.median").code for name in parameters}
+    assert quoted == {name: 0 if one["determined"] else 3 for name, one in parameters.items()}
+    assert {0, 3} == set(quoted.values())
     made, saved = (read_belief(read_input(name)) for name in ("soil.json", "belief.json"))
     assert np.allclose(made.covariance, saved.covariance, rtol=1e-9, atol=1e-15)
     assert (np.abs(made.mean - saved.mean) < 0.2 * saved.sd).all() and made.verdict == saved.verdict

@@ -84,5 +84,5 @@ def test_heights_in_kilometres_are_asked_about_by_update_and_loads(asked: Asked,
         code, questions, err = asked(*command)
         assert code == 3 and "is it in km?" in err
         (question,) = questions
-        assert question["option"] == "--height-unit m" and question["likely_unit"] == "km"
+        assert question["option"] == "--height-unit km, or m if it is m" and question["likely_unit"] == "km"
     assert asked(*loads, "--height-unit", "km")[1] == [] == asked(*loads, "--as-written")[1]

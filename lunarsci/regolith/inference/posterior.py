@@ -599,7 +599,7 @@ def judge(mode: Mode, model: str, given: bool, states: WheelStates, unusable: fl
         reasons.insert(0, f"column {first.column} agrees with the others only with {first.how}")
     elif reasons:
         reasons.append("look at the signs and units of slip_ratio, side_slip_deg, drawbar_pull_n and lateral_force_n, "
-                       "at the wheel (`rover`), or let `law` auto look for a law that fits")  # fmt: skip
+                       "at the wheel (`rover`) and at the law of wheel and soil (`law`)")  # fmt: skip
     text = "the zero of {} as it is written, where the forces would agree better with {}"
     return FitVerdict(
         trusted=not reasons,

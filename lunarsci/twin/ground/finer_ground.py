@@ -75,9 +75,11 @@ def terrain_questions(terrain: Terrain) -> list[Question]:
     relief, _ = lunar_relief()
     usual = math.sqrt(relief.at_one_m * 2.0 * math.log(2.0)) * terrain.spacing_m ** (relief.hurst - 1.0)
     law, median = Law("ln", usual, SLOPE_SD), float(np.median(finite))
-    asked = question("median slope of the terrain [m/m]", median, law, HEIGHT_UNITS, "--height-unit m")
+    asked = question("median slope of the terrain [m/m]", median, law, HEIGHT_UNITS)
     # Ground may be as level as it will: only another unit makes it doubtful.
-    return [asked] if asked is not None and asked.likely_unit else []
+    if asked is None or not asked.likely_unit:
+        return []
+    return [replace(asked, option=f"--height-unit {asked.likely_unit}, or m if it is m")]
 
 
 @dataclass(frozen=True, slots=True)
