@@ -447,8 +447,8 @@ def read_states(
         stems = [name.rpartition("_")[0] for name in read.unused if name.endswith(("_sd", "_std", "_err", "_error"))]
         hint = "; did you mean " + ", ".join(f"{stem}_sigma" for stem in stems) + "?" if stems else ""
         warnings.warn(f"{read.file}: columns not used: {', '.join(read.unused)}{hint}", LunarSciWarning, stacklevel=2)
+    rows[rows] = _possible(read.file, read.values[rows], np.flatnonzero(rows), wheel)
     values = read.values[rows]
-    check_values(read.file, values, np.flatnonzero(rows), wheel, REQUIRED)
     if fast := int((np.abs(values[:, 1]) > MAX_VALID_SLIP).sum()):
         warnings.warn(
             f"{read.file}: |slip_ratio| above {MAX_VALID_SLIP} in {fast} rows, where the model is no longer accurate",
@@ -529,8 +529,22 @@ def _doubt_of_sinkage(sinkage_m: FloatArray) -> str:
     return f"is its zero off ({OPTION} sinkage_m={math.ceil(1e3 * (1e-3 - least)) / 1e3:+.3g})?"
 
 
-def check_values(file: str, values: FloatArray, rows: IndexArray, wheel: Wheel, required: Collection[str]) -> None:
-    """Raise DataError for a value in the order of `COLUMNS` that no wheel can have, or a blank that is required."""
+def _possible(file: str, values: FloatArray, rows: IndexArray, wheel: Wheel) -> BoolArray:
+    """Rows that a wheel can have; others are left out with a warning. Raises DataError where most are others. (n,)"""
+    bad, text = impossible(file, values, rows, wheel, REQUIRED)
+    if 2 * bad.sum() > bad.size:
+        raise DataError(text)
+    if bad.any():
+        first = text.partition(";")[0]
+        warnings.warn(f"{bad.sum()} of {bad.size} rows left out, the first: {first}", LunarSciWarning, stacklevel=3)
+    return ~bad
+
+
+def impossible(
+    file: str, values: FloatArray, rows: IndexArray, wheel: Wheel, required: Collection[str]
+) -> tuple[BoolArray, str]:
+    """Rows with a value in the order of `COLUMNS` that no wheel can have, or a blank that is required (n,), and the
+    first of them in words."""
     depth, under = values[:, 0], f"above 1e-6 and below the wheel radius of {wheel.radius_m:g} m"
     rules = (
         ((depth >= LEAST_SINKAGE_M) & (depth < wheel.radius_m), f"{under}; {_doubt_of_sinkage(depth)}"),
@@ -538,9 +552,12 @@ def check_values(file: str, values: FloatArray, rows: IndexArray, wheel: Wheel, 
         (np.abs(values[:, 2]) <= 90, "within -90 to 90 deg"),
         (values[:, 3] > 0, "above 0 N"),
     )
+    every, said = np.zeros(len(values), dtype=bool), ""
     for k, (good, rule) in enumerate(rules):
         bad = ~good & (np.isfinite(values[:, k]) | (COLUMNS[k] in required))
-        if bad.any():
+        if bad.any() and not said:
             first = int(np.argmax(bad))
             text = f"{values[first, k]:g} is impossible; it must lie {rule}"
-            raise DataError(f"{file}, row {rows[first] + 1}, {COLUMNS[k]}: {text}")
+            said = f"{file}, row {rows[first] + 1}, {COLUMNS[k]}: {text}"
+        every |= bad
+    return every, said

@@ -57,6 +57,15 @@ def test_bad_state_files_say_what_is_wrong(text: str, message: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+def test_a_few_rows_that_no_wheel_can_have_are_left_out_and_said() -> None:
+    """A wheel that sank to its axle among two that did not; where it is most of the rows, the column is wrong."""
+    rows = [".008,0,32,-1", ".009,0.1,32,3", ".2,0.9,32,-1"]
+    with pytest.warns(LunarSciWarning, match=r"1 of 3 rows left out, the first: states.csv, row 3, sinkage_m: 0.2"):
+        assert read("\n".join([HEAD, *rows])).id == ("1", "2")
+    with pytest.raises(DataError, match=r"row 3, sinkage_m: 0.2 is impossible; .* in another unit"):
+        read("\n".join([HEAD, rows[0], rows[1], *rows[2:] * 3]))
+
+
 def test_rows_without_a_required_value_are_left_out_and_said() -> None:
     with pytest.warns(LunarSciWarning, match="1 of 2 rows left out"):
         states = read(HEAD + "\n.008,0,32,-1\n.008,0,,-1\n")

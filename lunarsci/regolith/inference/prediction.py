@@ -18,14 +18,14 @@ import numpy.typing as npt
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.constants import LUNAR_GRAVITY
-from lunarsci.errors import ParameterError
+from lunarsci.errors import DataError, ParameterError
 from lunarsci.io.inputs import InputFile
 from lunarsci.ranges import POSITIVE, check_each
 from lunarsci.regolith.inference.mode import predictive_densities
 from lunarsci.regolith.inference.posterior import SoilPosterior, fit_soil, law_name, usable_states
 from lunarsci.regolith.inference.problem import FORCES, MOST_STATES, forces_of_many, misfit_at, neighbours
 from lunarsci.regolith.prior import NINETY_FIVE, PARAMETERS, Law, contact_prior, default_prior, values_of
-from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates, check_values, read_state_table
+from lunarsci.regolith.states import COLUMNS, MeasurementErrors, WheelStates, impossible, read_state_table
 from lunarsci.regolith.traction import DEEPEST
 from lunarsci.regolith.wheel import DENSITY_KG_M3, SHEAR_LAWS, ContactModel, Wheel
 
@@ -223,7 +223,9 @@ def predict_states(posterior: SoilPosterior, wheel: Wheel, source: InputFile, *,
     side = np.nan_to_num(columns["side_slip_deg"])
     depth = columns["sinkage_m"] if "sinkage_m" in table.table else None
     required = {"slip_ratio", "normal_force_n", *({"sinkage_m"} & {*table.table})}
-    check_values(source.name, table.values, np.arange(count), wheel, required)
+    bad, text = impossible(source.name, table.values, np.arange(count), wheel, required)
+    if bad.any():
+        raise DataError(text)
     predicted = predict_forces(posterior, wheel, slip, side, load, depth, seed=seed)
     measured = np.column_stack([columns[name] for name in FORCES])
     if depth is None:
