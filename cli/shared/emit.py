@@ -50,7 +50,11 @@ MOST_STEPS = 20
 
 FORMS_BY_NAME = f"{', '.join(FORM_OF)} at the end of its name give other forms"
 """Beside a file whose name has another end."""
-OF_SPECTRA = {"lunarsci/spectra-fit/1": "fit_doubt", "lunarsci/spectra-unmix/1": "shares_doubt"}
+OF_SPECTRA = {
+    "lunarsci/spectra-bands/1": "bands_doubt",
+    "lunarsci/spectra-fit/1": "fit_doubt",
+    "lunarsci/spectra-unmix/1": "shares_doubt",
+}
 """Results of which each spectrum says itself whether it is to be trusted, and what in `verdicts` tells it."""
 
 

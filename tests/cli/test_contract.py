@@ -653,7 +653,7 @@ def test_a_value_of_a_kept_result_is_read_without_computing_it_again(tmp_path: P
     kept = {"spectra": [{"id": "a", "bc1000_nm": 931.5, "bc2000_nm": None}, {"id": "b"}]}
     files = {name: tmp_path / f"{name}.json" for name in ("good", "shaky")}
     for path, doubt in zip(files.values(), ("", "not to be trusted: no convergence for a"), strict=True):
-        document = {"schema": "lunarsci/spectra-bands/1", "result": kept, "provenance": {"untrusted": doubt}}
+        document = {"schema": "lunarsci/spectra-indices/1", "result": kept, "provenance": {"untrusted": doubt}}
         path.write_text(json.dumps(document), encoding="utf-8")
     asked = ("info", files["good"], "--field")
     found = run(*asked, "result.spectra.0.bc1000_nm")
@@ -688,6 +688,11 @@ def test_a_value_of_a_kept_batch_is_trusted_as_its_own_spectrum_is(tmp_path: Pat
     assert asked[0].err == [] and "s4 is not to be trusted: the assemblage is not decided" in asked[4].err[0]
     assert run("info", kept, "--field", "result.spectra").code == 3
     assert [run("info", kept, "--field", f"result.spectra.s{k}.rms_ln").code for k in (0, 4)] == [0, 3]
+    water = "no band: a narrow absorption at 1940 nm, 105 nm wide: water or hydroxyl"
+    bands = [{"id": "a", "band2000_status": "ok"}, {"id": "b", "band2000_status": water}]
+    result = {"spectra": [one | {"bc1000_nm": 931.5} for one in bands]}
+    kept.write_text(json.dumps(document | {"schema": "lunarsci/spectra-bands/1", "result": result}), encoding="utf-8")
+    assert [run("info", kept, "--field", f"result.spectra.{k}.bc1000_nm").code for k in "ab"] == [0, 3]
 
 
 @pytest.mark.parametrize("quiet", [(), ("-q",)])

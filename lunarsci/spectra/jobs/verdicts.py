@@ -37,9 +37,8 @@ def other_cause(record: Mapping[str, Any]) -> str:
     10.1016/j.icarus.2014.02.031), where olivine with some orthopyroxene has them, too.
     """
     first, second = record["bc1000_nm"], record["bc2000_nm"]
-    status = str(record["band2000_status"])
-    if status.startswith(f"no band: {NARROW_TEXT}"):
-        return status.removeprefix("no band: ")
+    if narrow := bands_doubt(record):
+        return narrow
     if second is None:
         return ""
     if first is None:
@@ -52,6 +51,13 @@ def other_cause(record: Mapping[str, Any]) -> str:
     if first > OLIVINE_NM[0] and second < OPX_MOST_NM:
         return "centres at 1 and 2 µm are those of glass, or of olivine with some orthopyroxene"
     return ""
+
+
+def bands_doubt(record: Mapping[str, Any]) -> str:
+    """The narrow absorption that is all there is at 2 um, of the keys of `spectra bands --json`; '' where there is
+    none."""
+    status = str(record["band2000_status"])
+    return status.removeprefix("no band: ") if status.startswith(f"no band: {NARROW_TEXT}") else ""
 
 
 def with_causes(spectra: Sequence[Spectrum], choices: Mapping[int, Choice]) -> dict[int, Choice]:
