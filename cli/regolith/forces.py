@@ -57,8 +57,8 @@ def forces(request: WheelForcesRequest) -> Report:
 
     The model was compared with wheels at slips up to ±0.6, and says so beyond. At a slip of -1 (locked wheel) and a
     side slip of 90 deg the forces are limits of the equations. A sinkage of the wheel's radius or more is refused. Exit
-    code 3: cohesion alone would pull more than the wheel presses, as at next to no sinkage. Options that only the
-    integrals have, such as --shear, need no --exact.
+    code 3: cohesion alone would pull more than the wheel presses, as at next to no sinkage. An option of the
+    integrals, such as --shear, stands for --exact, too.
 
     With --slip FIRST:LAST:N a curve; under --load also pull at 20 % slip and per weight, tractive efficiency, and the
     slope that such wheels climb.

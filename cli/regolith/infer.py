@@ -77,7 +77,7 @@ def infer(states: States, request: InferRequest, output: Output, posterior: Post
     """All soil parameters from all wheel states at once, as a posterior; below it what each state gives by itself.
 
     The options that assume a parameter are for these single states alone. Exit code 3: no soil of the law explains the
-    states. Options that only the integrals have, such as --shear, need no --exact.
+    states. An option of the integrals, such as --shear, stands for --exact, too.
     """
     from lunarsci.regolith.jobs.infer import infer as infer_soil
 

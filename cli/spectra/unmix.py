@@ -45,8 +45,8 @@ def unmix_spectra(files: Files, request: UnmixRequest, output: Output) -> Report
     """Shares of olivine, orthopyroxene, clinopyroxene and plagioclase by volume, with intervals.
 
     Networks that learned from laboratory spectra answer for any sampling from 450 to 2450 nm. Where the minerals are
-    named, mixtures of end members take part. `in_domain` says that all shares are likely within 15 %; otherwise quote
-    the 95 % intervals.
+    named, mixtures of end members take part. Where `in_domain` is true, all shares are likely within 15 %
+    of the truth. Where it is false, quote the 95 % intervals.
 
     A weathered soil is not unmixed (exit code 3). A regression gives its normative plagioclase, FeO and TiO2 instead.
     What may be a weathered soil has both.

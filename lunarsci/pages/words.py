@@ -251,7 +251,7 @@ def trust(record: Mapping[str, Any], caution: str = "") -> tuple[bool, str]:
     if "untrusted" not in record:
         return True, "The file does not say whether its command trusts it, as it is of an older version; make it anew."
     heard = heard_of(record)
-    warned = f"; it gave {counted(len(heard), 'warning')}" if heard else ""
+    warned = f"; read its {counted(len(heard), 'warning')}" if heard else ""
     if caution:
         return True, f"The result may be used, but the command warns: {caution.rstrip('.')}."
-    return True, f"The command found nothing against this result{warned}."
+    return True, f"No check speaks against this result{warned}."

@@ -419,7 +419,7 @@ def test_what_is_written_to_a_file_is_answered_in_a_sentence_with_its_trust(run,
     one, two = tmp_path / "one.json", tmp_path / "two.json"
     done = run("regolith", "forces", "--load", "36.5", "--slip", "0.1", "-o", one)
     assert done.err[1].startswith("At 12.4 mm sinkage and a slip of 0.1 a wheel carries 36.5 N, pulls with 4.93 N ")
-    assert done.err[2:] == ["The command found nothing against this result."]
+    assert done.err[2:] == ["No check speaks against this result."]
     weak = ("twin", "predict", "--sweep", "friction_angle_deg=8:10:2")
     done = run(*weak, "-o", two)
     assert (done.code, done.out) == (3, "") and done.err[-2].startswith("No-go for the drive")

@@ -147,7 +147,7 @@ def test_caveats_below_the_tables_of_a_command_are_told() -> None:
         "bands": "2 µm band: conic not used",
         "states": "of the others the track says nothing",
         "loads of states": "each wheel supplies still depends on the assumed soil",
-        "identify joint": "priors of priors.toml where none are given",
+        "identify joint": "priors that come with lunarsci where none are given",
         "cameras": "of Yutu-2 Navcam: ",
     }.items():
         told = [*unknown(of(name)), *assumed(of(name))]
@@ -189,10 +189,10 @@ def test_pages_of_a_picture_are_no_warning_about_a_result() -> None:
     ]
     record = {"untrusted": "", "warnings": pages}
     made = replace(drive, provenance=record)
-    assert answer(made).trust == "The command found nothing against this result."
+    assert answer(made).trust == "No check speaks against this result."
     assert not any(".png" in line for line in unknown(made))
     pages.append("plan.toml has no [limits]")
-    assert "it gave 1 warning" in answer(made).trust and "plan.toml has no [limits]" in unknown(made)
+    assert "read its 1 warning" in answer(made).trust and "plan.toml has no [limits]" in unknown(made)
 
 
 def test_a_share_of_no_determined_value_is_not_told() -> None:
@@ -289,7 +289,7 @@ def test_a_match_that_decides_nothing_is_not_approved() -> None:
 
     assert trust(undecided) == "The source is not decided."
     assert trust(undecided, clear) == "The source is not decided for 1 of 2 rocks."
-    assert trust(clear).startswith("The command found nothing against")
+    assert trust(clear).startswith("No check speaks against")
 
 
 def test_what_is_said_against_shares_hangs_on_them_and_errors_are_named() -> None:

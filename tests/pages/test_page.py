@@ -176,7 +176,7 @@ def test_answer_trust_and_a_picture_are_on_the_first_screen(
     for part in (".answer", ".trust", ".first"):
         assert page.locator(part).first.bounding_box()["y"] < 0.75 * height, part
     assert page.locator(".answer").first.text_content().startswith("Go for the drive")
-    assert page.locator(".trust").first.text_content() == "Trust: The command found nothing against this result."
+    assert page.locator(".trust").first.text_content() == "Trust: No check speaks against this result."
     page.close()
 
 

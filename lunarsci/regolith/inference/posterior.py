@@ -650,7 +650,7 @@ def _assumed(mode: Mode, given: bool, states: WheelStates, total: float, left: f
     plain, problem = left >= 1, mode.problem
     model = problem.model or ContactModel()
     texts = {
-        "priors of priors.toml where none are given": True,
+        "priors that come with lunarsci where none are given": True,
         "errors of measurement as Ding et al. (2024) state them, where the file gives none": not states.stated,
         f"normal errors of the model, a share of the load; {mode.alike:.1f} neighbouring states "
         "count as one independent state": not given,

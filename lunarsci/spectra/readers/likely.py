@@ -94,8 +94,9 @@ by which they do, in ln R. Assumed: none of 471 spectra of laboratories has one 
 MOST_DETECTORS = 3
 """Of a field spectrometer: Hueni & Bialek (2017), 10.1109/JSTARS.2016.2625043."""
 REMARKS = {
-    "smooth": "spectra with errors 5 times their scatter from channel to channel and more, taken as independent; are "
-    "they in percent? If channels share them, as those of samples, name the column NAME_systematic_samples",
+    "smooth": "spectra whose errors are 5 times the scatter from channel to channel, or more; are they in percent? "
+    "They are taken as independent; errors that channels share, as those of samples, belong into a column "
+    "NAME_systematic_samples",
     "bright": "spectra with a median reflectance above 1; are they in percent, or no reflectance?",
     "step": "spectra with a step between two channels, as where detectors meet, read with the channels below it scaled "
     "to those above",

@@ -235,9 +235,13 @@ class MadeForCheck:
         if verdict is None or not verdict.wheel or verdict.gravity_m_s2 is None:
             return
         pull, here = (f"{one:.3g} m/s²" for one in (verdict.gravity_m_s2, self.rover.gravity_m_s2))
-        if verdict.wheel != self.rover.written or pull != here:
-            there, this = f"'{verdict.wheel}' at {pull}", f"'{self.rover.written}' at {here}"
-            self.say(f"{name} was inferred from states of {there}, and this is {this}: is the soil the same to both?")
+        differ = {
+            f"the wheel '{verdict.wheel}', and this is '{self.rover.written}'": verdict.wheel != self.rover.written,
+            f"a gravity of {pull}, and here it is {here}": pull != here,
+        }
+        if any(differ.values()):
+            what = "; for ".join(text for text, true in differ.items() if true)
+            self.say(f"{name} was inferred for {what}: is the soil the same to both?")
 
     def stand_in(self) -> None:
         """Say it where a rover of one's own is on the synthetic stand-in for Yutu-2's site, as where none is named."""
