@@ -651,10 +651,8 @@ class BandsOfSpectra(Sequence[SpectrumBands | BandFailure]):
 
     def _sentence(self, number: int, place: int, which: int, wavelength_nm: FloatArray) -> str:
         """The sentence of a status or a note."""
-        code, deepest = (
-            self.arrays.codes[place, number, which],
-            NUMBER.deepest_nm if which == CODE.status else NUMBER.note_deepest_nm,
-        )
+        code = self.arrays.codes[place, number, which]
+        deepest = NUMBER.deepest_nm if which == CODE.status else NUMBER.note_deepest_nm
         if which == CODE.note and code == STATUS.ok:
             return ""
         if code == STATUS.too_narrow:

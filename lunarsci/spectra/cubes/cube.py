@@ -19,6 +19,7 @@ from lunarsci.compiled import compiled
 from lunarsci.errors import DataError, LunarSciWarning, warn
 from lunarsci.io.tables import MOST_CELLS
 from lunarsci.spectra.readers.likely import unnamed_markers
+from lunarsci.spectra.readers.pds import CALIBRATE
 from lunarsci.spectra.readers.table import MAX_FRACTION, Column, WavelengthUnit, wavelength_nm
 
 FLAGS = ("no_data", "left_out", "channels_missing", "channels_saturated", "channels_not_positive")
@@ -396,6 +397,6 @@ def _check_level(cube: Cube, layout: Layout, stated: Stated) -> None:
     if median > MAX_FRACTION or whole:
         guess = "percent have `scale` 100; " if median < 100 and not whole else "10000 is common; "
         raise DataError(
-            f"{cube.name}: has numbers of about {median:.4g}, no reflectances; radiance must be calibrated first, "
-            f"scaled ones need `scale` ({guess}what they were multiplied by)"
+            f"{cube.name}: has numbers of about {median:.4g}, no reflectances; scaled ones need `scale` ({guess}what "
+            f"they were multiplied by); of radiance {CALIBRATE}"
         )

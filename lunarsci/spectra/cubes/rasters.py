@@ -46,7 +46,15 @@ from lunarsci.spectra.cubes.cube import (
 )
 from lunarsci.spectra.photometry import correction_factor
 from lunarsci.spectra.readers.envi import SUFFIX, EnviHeader, data_names, header_names, partner
-from lunarsci.spectra.readers.pds import LABELS, data_file, is_pds_label, label_beside, radiance, read_pds_label
+from lunarsci.spectra.readers.pds import (
+    CALIBRATE,
+    LABELS,
+    data_file,
+    is_pds_label,
+    label_beside,
+    radiance,
+    read_pds_label,
+)
 from lunarsci.spectra.readers.table import WavelengthUnit, length_unit, wavelength_unit_in
 from lunarsci.spectra.rows import number, quoted, separator_of, split_fields, split_lines
 from lunarsci.spectra.solar import sun_moon_distance_au
@@ -72,7 +80,7 @@ def open_pds(path: str) -> Layout:
         why = "is the label of a table, no image; `lunarsci spectra bands` takes tables of spectra"
         if image is not None:
             size = f"{image.lines} lines, {image.samples} samples and {image.bands} bands"
-            kind = f"in {image.unit}: radiance; give the reflectances made of it" if radiance(image.unit) else ""
+            kind = f"in {image.unit}: radiance; {CALIBRATE}" if radiance(image.unit) else ""
             why = f"{image.file} has {size} {kind or 'of a type that is not read; convert it to ENVI'}"
         raise DataError(f"{path}: {why}")
     data = data_file(path, image.file)
@@ -90,6 +98,8 @@ DATA_SUFFIXES = (".img", ".dat", ".bsq", ".bil", ".bip", ".raw", ".bin", ".cub")
 M3_NAME = re.compile(r"(M3[GT]\d{8}T\d{6})_V\d\d_(RFL|L2|RDN|L1B|LOC|OBS|SUP)(?![A-Z0-9])", re.IGNORECASE)
 M3_IGNORED = -999.0
 """What products of M3 (Green et al. 2011, 10.1029/2011JE003797) have where nothing was measured, by their labels."""
+M3_OTHERS = {"RDN": "radiance", "L1B": "radiance", "LOC": "places of pixels", "OBS": "angles", "SUP": "a supplement"}
+"""Its files without reflectances."""
 _IMAGES = ("envi standard", "")
 _OBS = {
     "sun_azimuth": (0, "azimuth of the Sun", "degree"),
@@ -100,6 +110,14 @@ _OBS = {
     "facet_cos_incidence": (9, "cosine of the incidence on the local slope", "1"),
 }
 """Bands of an OBS file that go into maps."""
+
+
+def _m3(path: str) -> re.Match[str] | None:
+    """The name of a product of M3, None for another. Raises DataError for a file without reflectances."""
+    m3 = M3_NAME.search(Path(path).name)
+    if m3 and (other := M3_OTHERS.get(m3[2].upper())):
+        raise DataError(f"{path}: is M3's {m3[2].upper()} file, {other}; {CALIBRATE}")
+    return m3
 
 
 def open_envi(path: str, locations: str | None, framed: Callable[[str], PixelFrame | None]) -> Layout:
@@ -113,9 +131,7 @@ def open_envi(path: str, locations: str | None, framed: Callable[[str], PixelFra
     header, data = _pair(path)
     result = EnviHeader.of(read_input(header))
     source = flat_file(result, data)
-    m3 = M3_NAME.search(Path(data).name)
-    if m3 and m3[2].upper() in ("RDN", "LOC", "OBS", "SUP"):
-        raise DataError(f"{data}: is M3's {m3[2].upper()} file; reflectances are in the _RFL.IMG of Level 2")
+    m3 = _m3(data)
     planes, used = _backplanes(data, source, locations, m3[1] if m3 else None)
     return Layout(
         name=data,
@@ -345,6 +361,7 @@ def _layout(path: str, given: Stated) -> Layout:
         return open_envi(path, given.locations, _envi_frame)
     if label := label_of_cube(path):
         return open_pds(label)
+    _m3(path)
     raise DataError(f"{path}: is no cube: no ENVI header beside it, no GeoTIFF, no NetCDF, no VNIS product")
 
 

@@ -298,6 +298,10 @@ def _check_unique(names: Sequence[str], file: str) -> None:
         raise DataError(f"{file}: two columns are named {quoted(twice[0])}; give each column its own name")
 
 
+RIGHT_TABLE = "a right table is `wavelength_nm,NAME`, below it `450,0.061` and so on; `lunarsci demo` writes rock.ecsv"
+"""What a table of spectra looks like, and which command makes one."""
+
+
 def _wavelength_place(names: Sequence[str], kinds: Sequence[str], file: str) -> int:
     """Place of the wavelength column: that with such a name, else the first. Raises DataError for two, or none."""
     result = [k for k, what in enumerate(kinds) if what == "wavelength"]
@@ -309,7 +313,7 @@ def _wavelength_place(names: Sequence[str], kinds: Sequence[str], file: str) -> 
     if result:
         return result[0]
     if names[0] and set(name_tokens(names[0])) & _NOT_A_SPECTRUM:
-        raise DataError(f"{file}: no wavelength column, {quoted(names[0])} is none; add one named wavelength_nm")
+        raise DataError(f"{file}: no wavelength column, {quoted(names[0])} is none; add one: {RIGHT_TABLE}")
     return 0
 
 

@@ -17,7 +17,14 @@ from lunarsci.io import inputs
 from lunarsci.io.inputs import InputFile, read_input
 from lunarsci.registry import FORMATS
 from lunarsci.spectra.collection import SpectrumRows
-from lunarsci.spectra.readers.columns import as_reflectance, only_spectra, spectrum_ids, with_absolute_errors
+from lunarsci.spectra.readers.columns import (
+    RIGHT_TABLE,
+    as_reflectance,
+    is_wavelength,
+    only_spectra,
+    spectrum_ids,
+    with_absolute_errors,
+)
 from lunarsci.spectra.readers.detectors import joined
 from lunarsci.spectra.readers.likely import markers_of, without_deleted, without_markers
 from lunarsci.spectra.readers.pds import label_of_table
@@ -158,7 +165,10 @@ def spectra_of(table: SpectrumTable, stated: StatedUnits) -> SpectrumRows:
     used, deleted = only_spectra(used, deleted)
     used, converted = as_reflectance(used)
     used, relative = with_absolute_errors(used)
-    values, record = wavelength_nm(used.wavelength, stated.wavelength, file)
+    try:
+        values, record = wavelength_nm(used.wavelength, stated.wavelength, file)
+    except DataError as error:
+        raise error if is_wavelength(used.wavelength.name) else DataError(f"{error}; {RIGHT_TABLE}") from error
     used, values, spliced = joined(used, values)
     order, order_name = _ascending(values, used)
     units, sized = _units(used, values, stated.reflectance)

@@ -333,7 +333,7 @@ def read_pds(source: InputFile) -> SpectrumTable:
     if not spectral and label.images:
         image = max(label.images, key=lambda one: (radiance(one.unit), one.bands))
         what = f"an image of {image.lines} lines, {image.samples} samples and {image.bands} bands"
-        unit = f" in {image.unit}: radiance, no reflectance" if radiance(image.unit) else ""
+        unit = f" in {image.unit}: radiance, no reflectance; {CALIBRATE}" if radiance(image.unit) else ""
         raise DataError(f"{source.name}: is the label of {what}{unit}; `lunarsci spectra map` takes images of spectra")
     for table in spectral or label.tables:
         data = read_input(data_file(source.name, table.file))
@@ -352,6 +352,10 @@ def _is_spectral(column: LabelField) -> bool:
 def _unit(column: LabelField) -> str:
     """As PDS3 writes it: NANOMETER <nm>."""
     return column.unit.split("<")[0].strip()
+
+
+CALIBRATE = "take its reflectance: of M3 the _RFL.IMG of Level 2, of VNIS by `lunarsci spectra calibrate FOLDER`"
+"""What to do with radiance."""
 
 
 def radiance(unit: str) -> bool:

@@ -176,7 +176,7 @@ def test_headers_that_cannot_be_meant_are_refused(envi: Any, refused: Any, keys:
         (255 / CUBE.max(), "u1", "8-bit numbers without a scale"),
         (10000, "<i2", "need `scale` (10000 is common"),
         (100, "<f4", "percent have `scale` 100"),
-        (5000, "<f4", "radiance must be calibrated first"),
+        (5000, "<f4", "of radiance take its reflectance: of M3"),
     ],
 )
 def test_numbers_that_are_no_reflectances_are_refused(
@@ -282,7 +282,9 @@ def test_planes_of_another_size_are_not_used(tmp_path: Path) -> None:
 
 def test_other_files_of_m3_are_refused(tmp_path: Path, refused: Any) -> None:
     backplane(tmp_path, "LOC", np.zeros((7, 5, 3)), "<f8")
-    assert "reflectances are in the _RFL.IMG" in refused(tmp_path / "M3G20090203T175131_V03_LOC.IMG")
+    assert "of M3 the _RFL.IMG of Level 2" in refused(tmp_path / "M3G20090203T175131_V03_LOC.IMG")
+    (bare := tmp_path / "M3G20090203T175131_V03_RDN.IMG").write_bytes(b"\0" * 64)
+    assert "is M3's RDN file, radiance; take its reflectance: of M3" in refused(bare)
 
 
 needs_rasterio = pytest.mark.skipif(importlib.util.find_spec("rasterio") is None, reason="needs rasterio")

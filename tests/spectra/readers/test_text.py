@@ -155,6 +155,7 @@ def test_mixed_separators_are_named_by_line(refuse: Refuse) -> None:
         ("wavelength_nm,a,a\n400,.1,.2\n", "two columns are named 'a'"),
         ("wavelength_nm,wavelength_um,a\n400,.4,.2\n", "both wavelengths"),
         ("band,reflectance\n1,.2\n", "no wavelength column"),
+        ("a,b\n0.1,0.2\n0.3,0.2\n", "a right table is `wavelength_nm,NAME`, below it `450,0.061`"),
         ("wavelength_nm,solar_irradiance\n400,1800\n", "no reflectance column beside 'solar_irradiance'"),
     ],
 )
