@@ -41,13 +41,13 @@ OPEN = (*PARAMETERS, *ROLLING)
 """Parameters of a belief that holds those of its wheel, too."""
 MARK = "# verdict of the fit: "
 """How the line of a table of soils that has the verdict begins."""
-LISTS: dict[str, type] = {"model_error": float, "assumed": str}
+LISTS: dict[str, type] = {"model_error": float, "assumed": str, "loads_n": float}
 """Keys of a verdict with lists, and what their entries are."""
 CLOSED, CONTACT_ANGLES = "closed", "contact angles"
 """In the name of a law: the closed form, and contact angles that are unknown."""
 
 
-WHOSE = ("wheel", "gravity_m_s2")
+WHOSE = ("wheel", "gravity_m_s2", "loads_n")
 """What a verdict says of whose states were fitted, where that is known."""
 
 
@@ -66,6 +66,7 @@ class FitVerdict:
     assumed : sentences, what the fit had to assume.
     wheel : whose states they were, as `written_for` names it; '' where nothing says so.
     gravity_m_s2 : of these states; None where nothing says so.
+    loads_n : least and largest load of these states; () where nothing says so. [N]
 
     Raises ParameterError for a verdict without its reason.
     """
@@ -79,6 +80,7 @@ class FitVerdict:
     assumed: tuple[str, ...] = ()
     wheel: str = ""
     gravity_m_s2: float | None = None
+    loads_n: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         faults = {
@@ -256,6 +258,39 @@ class SoilBelief:
         """Median and 68 % limits of each parameter, in its unit."""
         rows = self.samples(np.stack([self.mean, self.mean - self.sd, self.mean + self.sd]))
         return {name: (float(m), float(low), float(high)) for name, (m, low, high) in rows.items()}
+
+    @property
+    def loads_n(self) -> tuple[float, ...]:
+        """Least and largest load of a wheel that it was learned under, since all was forgotten; () if unknown. [N]"""
+        loads = [] if self.verdict is None else [*self.verdict.loads_n]
+        for entry in self.history:
+            loads = [] if entry.get("forgotten") == 1.0 else loads
+            loads += [] if entry.get("refused") else entry.get("loads_n", [])
+        return (min(loads), max(loads)) if loads else ()
+
+    def beyond_loads(self, load_n: float) -> float:
+        """How far a load of a wheel is from those that it was learned under: 0 within, 1/2 at half or twice. [-]"""
+        low, high = self.loads_n or (load_n, load_n)
+        return 1.0 - min(load_n / low, high / load_n, 1.0)
+
+    def under(self, load_n: float, seed: int = 0) -> "SoilBelief":
+        """For wheels that carry a load: beyond those of its drives effective values go over to the ground's own.
+
+        Effective values are those with which the twin's law moves as a rover did under its loads. Under others what the
+        law misses is another, as for another law or instrument: `ground_moments` says what is known then.
+        """
+        share, size = self.beyond_loads(load_n), len(PARAMETERS)
+        if share == 0.0:
+            return self
+        mean, sd = ground_moments(self)
+        shift, extra = np.zeros((2, len(self.mean)))
+        shift[:size] = share * (mean - self.mean[:size])
+        extra[:size] = share * np.maximum(sd**2 - self.sd[:size] ** 2, 0.0)
+        drawn = self.population
+        if drawn is not None:
+            noise = np.random.default_rng(seed).standard_normal(drawn.shape)
+            drawn = drawn + shift + np.sqrt(extra) * noise
+        return replace(self, mean=self.mean + shift, covariance=self.covariance + np.diag(extra), population=drawn)
 
     def draws(self, count: int, seed: int = 0) -> dict[str, FloatArray]:
         """Soils drawn from the belief, by parameter in its unit: its population, in turn, or a normal law. (count,)"""

@@ -14,6 +14,7 @@ from lunarsci.regolith.belief import (
     belief_of,
     compare_beliefs,
     first_belief,
+    ground_moments,
     moved_sd,
     past_beliefs,
     read_belief,
@@ -64,6 +65,21 @@ def test_a_population_is_drawn_from_without_loss(belief: SoilBelief) -> None:
     drawn = dataclasses.replace(belief, population=points).draws(40, 5)
     expected = values_of(belief.laws, points)
     assert sorted(drawn["cohesion_pa"]) == pytest.approx(sorted(expected[:, PARAMETERS.index("cohesion_pa")]))
+
+
+def test_beyond_the_loads_that_taught_it_a_belief_goes_over_to_the_ground_itself(belief: SoilBelief) -> None:
+    """Half the load is half of the way; in widths of the prior no parameter is known better than under its loads."""
+    taught = dataclasses.replace(belief, history=({"loads_n": [20.0, 24.0]}, {"loads_n": [22.0, 28.0]}))
+    mean, sd = ground_moments(taught)
+    assert taught.loads_n == (20.0, 28.0) and taught.under(25.0) is taught and belief.under(1.0) is belief
+    half = taught.under(10.0)
+    assert half.mean == pytest.approx(0.5 * (mean + taught.mean))
+    assert half.sd**2 == pytest.approx(0.5 * (np.maximum(sd, taught.sd) ** 2 + taught.sd**2))
+    assert (taught.beyond_loads(10.0), taught.beyond_loads(56.0)) == (0.5, 0.5)
+    drawn = dataclasses.replace(taught, population=np.tile(taught.mean, (4000, 1))).under(2.0)
+    assert drawn.population is not None and drawn.population.mean(axis=0) == pytest.approx(drawn.mean, abs=0.1)
+    forgot = dataclasses.replace(taught, history=(*taught.history, {"forgotten": 1.0, "loads_n": [2.0, 3.0]}))
+    assert forgot.loads_n == (2.0, 3.0)
 
 
 def test_forgetting_goes_from_the_belief_to_the_first_laws(belief: SoilBelief) -> None:

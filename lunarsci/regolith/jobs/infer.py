@@ -20,6 +20,7 @@ from lunarsci.regolith.inference.prediction import (
 from lunarsci.regolith.jobs.identify import IdentifiedSoil, StatesOfWheel, assumptions_of, identified, read_wheel_states
 from lunarsci.regolith.jobs.requests import InferRequest
 from lunarsci.regolith.prior import prior_hash, read_prior
+from lunarsci.regolith.states import COLUMNS
 from lunarsci.regolith.wheel import ContactModel, read_wheel
 from lunarsci.result import NOT_TO_BE_TRUSTED, Doubt, job
 
@@ -163,6 +164,8 @@ def _posterior(
         progress=progress,
     )
     whose = written_for(given.called or given.rover, given.wheel)
-    verdict = replace(posterior.verdict, wheel=whose, gravity_m_s2=float(asked.gravity))
+    load = given.states.values[:, COLUMNS.index("normal_force_n")]
+    loads = (float(load.min()), float(load.max()))
+    verdict = replace(posterior.verdict, wheel=whose, gravity_m_s2=float(asked.gravity), loads_n=loads)
     posterior = replace(posterior, disputed=disputed(posterior, scores), verdict=verdict)
     return posterior, scores, {source.name: source.sha256} if source else {}

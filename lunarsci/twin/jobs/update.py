@@ -22,6 +22,7 @@ from lunarsci.twin.ground.soil_map import SoilMap, Zone, soil_layers, soil_map_b
 from lunarsci.twin.ground.terrain import terrain_bytes
 from lunarsci.twin.jobs.drive_inputs import SOURCES, DriveInputs, read_drive_inputs
 from lunarsci.twin.jobs.requests import UpdateRequest
+from lunarsci.twin.judgement.tables import mean_loads_n
 from lunarsci.twin.telemetry.checks import WheelPace
 
 if TYPE_CHECKING:
@@ -317,6 +318,7 @@ class _DrivenLine:
                 "inflation": dict(learned.inflation),
                 "ruts": learned.prediction.ruts,
                 "ruts_probability": learned.ruts_probability,
+                "loads_n": mean_loads_n(learned.prediction),
                 "surprise": learned.prior_shift,
                 "refused": learned.refused,
                 "doubt": str(Doubt.of(*doubts)),

@@ -366,6 +366,12 @@ def check_loads(prediction: Prediction) -> LoadCheck:
     )
 
 
+def mean_loads_n(prediction: Prediction) -> list[float]:
+    """Least and largest of the mean loads of the wheels, over all that was driven. (2,) [N]"""
+    loads = prediction.states[prediction.reached][..., STATE_COLUMNS.index("normal_force_n")].mean(axis=0)
+    return [float(loads.min()), float(loads.max())]
+
+
 def load_notes(result: LoadCheck) -> list[str]:
     """One sentence for each kind that occurs."""
     notes = []
