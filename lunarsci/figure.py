@@ -95,6 +95,14 @@ def as_label(text: str, longest: int = 40) -> str:
     return printable(short).replace("$", r"\$")
 
 
+def is_named(figure: "Figure", name: str) -> bool:
+    """Whether a text of a picture begins with a name, as that of a spectrum above its panel, or with its label."""
+    from matplotlib.text import Text
+
+    wanted = (name, as_label(name), as_label(name, 28).rstrip("…"))
+    return any(one.get_text().startswith(wanted) for one in figure.findobj(Text))
+
+
 def file_label(name: str, longest: int = 40) -> str:
     """A file as a label: without the folders above it.
 

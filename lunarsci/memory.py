@@ -181,10 +181,20 @@ def _is_cube(value: Any) -> bool:
 
 
 def _cube(wavelength: Any, reflectance: Any) -> Any:
+    """Raises ParameterError for reflectances whose last axis, or first, is not that of the wavelengths."""
+    import numpy as np
     from xarray import DataArray
 
+    count, values = np.size(wavelength), np.asarray(reflectance)
+    if values.shape[-1] != count == values.shape[0]:
+        values = np.moveaxis(values, 0, -1)
+    if values.shape[-1] != count:
+        shape = " x ".join(map(str, values.shape))
+        raise ParameterError(
+            f"`cube`: reflectances of {shape} beside {count} wavelengths; give (lines, samples, {count})"
+        )
     axes = ("line", "sample", "wavelength")
-    return DataArray(reflectance, dims=axes, coords={"wavelength": wavelength}, name="reflectance")
+    return DataArray(values, dims=axes, coords={"wavelength": wavelength}, name="reflectance")
 
 
 def _is_records(value: Any) -> bool:

@@ -110,8 +110,8 @@ def check_option(name: str, value: Any, hint: Any) -> None:
 
 
 def as_meant(name: str, value: Any, hint: Any) -> Any:
-    """A whole number as a real one, one text as the only one of several, a number as text, and what is in memory as
-    the path of a file that holds it, where that is meant.
+    """A whole number as a real one, one text as the only one of several, several texts as one with commas, a number as
+    text, and what is in memory as the path of a file that holds it, where that is meant.
     """
     if type(value).__module__ == "numpy" and getattr(value, "shape", None) == ():
         value = value.item()
@@ -122,6 +122,8 @@ def as_meant(name: str, value: Any, hint: Any) -> Any:
     if get_origin(hint) is tuple:
         return (value,) if isinstance(value, str) else value
     plain = {str, int, float} & {hint, *get_args(hint)}
+    if isinstance(value, list | tuple) and plain == {str} and all(isinstance(one, str) for one in value):
+        return ",".join(value)
     if isinstance(value, str) and plain == {float}:
         return _number(value)
     if isinstance(value, bool) or not isinstance(value, int | float):

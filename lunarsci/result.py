@@ -19,7 +19,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, ClassVar, ParamSpec, TypeAlias, TypeVar, get_args
 
 from lunarsci.errors import Failure, LunarSciWarning, ParameterError, worded
-from lunarsci.figure import shown, styled
+from lunarsci.figure import is_named, shown, styled
 from lunarsci.memory import as_named, path_of, results_on_disk
 from lunarsci.minerals import WITH_BANDS
 from lunarsci.names import some_of
@@ -201,7 +201,10 @@ class Result(ABC):
         ]
         shown = [*words, *numbers][:FIRST]
         rows = f"{len(self)} row{'s' if len(self) != 1 else ''}{', the first: ' if shown else ''}{', '.join(shown)}"
-        return f"<{type(self).__name__}{made_by}, {rows}; .to_table(), .plot(), .to_dict() and .to_json() have all>"
+        doubt = "; .untrusted says why not to trust it" if self.untrusted else ""
+        return (
+            f"<{type(self).__name__}{made_by}, {rows}; .to_table(), .plot(), .to_dict() and .to_json() have all{doubt}>"
+        )
 
     def __len__(self) -> int:
         return len(self.rows_each())
@@ -357,12 +360,18 @@ class Result(ABC):
         """The document of `--json`; without `time` two equal results give equal text."""
         return as_named(to_json(document(self.schema, self.content(), self.provenance().to_dict(time=time))))
 
-    def plot(self, page: int = 0) -> "Figure":
-        """A page of `--plot`, from 0, which a notebook shows. Raises ParameterError where there is no such page."""
+    def plot(self, page: int | str = 0) -> "Figure":
+        """A page of `--plot`, from 0, or the first that names something, such as a spectrum; a notebook shows it.
+
+        Raises ParameterError where there is no such page.
+        """
         with styled():
-            figure = next(islice(self.figures(), page, None), None)
+            if isinstance(page, str):
+                figure = next((one for one in self.figures() if is_named(one, page)), None)
+            else:
+                figure = next(islice(self.figures(), page, None), None)
         if figure is None:
-            raise ParameterError(f"page {page}: there is no such picture of this result")
+            raise ParameterError(f"page {page!r}: there is no such picture of this result")
         return shown(figure)
 
     def _repr_html_(self) -> str:

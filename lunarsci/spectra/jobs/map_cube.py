@@ -13,7 +13,7 @@ from lunarsci.errors import RequestError
 from lunarsci.io.atomic import written_whole
 from lunarsci.io.inputs import Source, expand_inputs
 from lunarsci.io.tables import table_hashes
-from lunarsci.memory import new_path
+from lunarsci.memory import as_named, new_path
 from lunarsci.names import some_of
 from lunarsci.options import refuse_where, request_of
 from lunarsci.parallel.blocks import blocks_in_order, rows_in_memory
@@ -40,6 +40,7 @@ from lunarsci.spectra.jobs.requests import MOST_ROWS, ROWS, MapRequest
 if TYPE_CHECKING:
     import numpy.typing as npt
     from matplotlib.figure import Figure
+    from xarray import Dataset
 
 
 MOST_REASONS = 4
@@ -129,9 +130,20 @@ class CubeMap(Result):
 
         region, whole = self.made.region, (slice(None), slice(None))
         firsts = zip(("line", "sample"), (region.lines[0], region.samples[0]), region.shape, strict=True)
-        axes = {name: ((name,), first + region.step * np.arange(count)) for name, first, count in firsts}
+        axes: dict[str, Any] = {
+            name: ((name,), first + region.step * np.arange(count)) for name, first, count in firsts
+        }
+        if (frame := self.made.frame) and not frame.rotated:
+            lines, samples = (np.arange(count, dtype=float) for count in region.shape)
+            axes["y"] = ("line",), frame.middles(lines, 0 * lines)[1]
+            axes["x"] = ("sample",), frame.middles(0 * samples, samples)[0]
         names = [layer.name for layer in self.made.layers]
-        return axes | {n: (tuple(axes), pixels_of(self.path, n, k, whole)) for k, n in enumerate(names, 1)}
+        return axes | {n: (("line", "sample"), pixels_of(self.path, n, k, whole)) for k, n in enumerate(names, 1)}
+
+    def to_xarray(self) -> "Dataset":
+        """All layers as a Dataset; with the places of lines and samples, `y` and `x`, where the cube has such."""
+        made = super().to_xarray()
+        return made.set_coords([name for name in ("y", "x") if name in made])
 
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.spectra.cubes.figure import map_pages
@@ -289,7 +301,7 @@ def unmix_record(request: MapRequest) -> dict[str, Any] | None:
 def cube_record(cube: Cube) -> dict[str, Any]:
     """What is known of a cube, for `--json`."""
     return {
-        "file": cube.name,
+        "file": as_named(cube.name),
         "format": cube.format,
         "lines": cube.shape[0],
         "samples": cube.shape[1],

@@ -138,6 +138,19 @@ class Matches(Result):
         count, each = len(self.matches), len(self.matches[0].craters) + 1
         return in_blocks(count, self._of_some(match_table), size=count * each, rows=BLOCK_ROCKS)
 
+    def rows_each(self) -> Sequence[Mapping[str, Any]]:
+        """One a rock: its likeliest source, which is the `best` where that is decided, and what remains."""
+        return [
+            {
+                "rock": one.rock.id,
+                "best": one.best,
+                "likeliest": one.remaining[0],
+                "posterior": max(one.other_posterior, *(crater.posterior for crater in one.craters)),
+                "status": one.status,
+            }
+            for one in self.matches
+        ]
+
     def answers(self) -> Sequence[Mapping[str, Any]]:
         """The same, of each rock the likeliest first."""
         places = {match.rock.id: place for place, match in enumerate(self.matches)}

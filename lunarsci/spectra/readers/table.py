@@ -18,6 +18,7 @@ import numpy as np
 from lunarsci.arrays import FloatArray, spans
 from lunarsci.errors import DataError, warn
 from lunarsci.io.inputs import InputFile
+from lunarsci.memory import as_named
 from lunarsci.spectra.rows import quoted
 from lunarsci.spectra.solar import solar_spectrum
 
@@ -245,7 +246,9 @@ def _wavelength_choice(result: str | None, stated: str | None, low: float, high:
         return stated, "caller"
     for unit, (least, most) in SURELY.items():
         if result is None and least <= low and high <= most:
-            warn(f"{what} read as {_SYMBOL[unit]}; name the column wavelength_{unit} or give `wavelength_unit` {unit}")
+            name = f"name the column wavelength_{unit} or give `wavelength_unit` {unit}"
+            if what == as_named(what):  # what is in memory has no file whose column could be named
+                warn(f"{what} read as {_SYMBOL[unit]}; {name}")
             return unit, "values"
     why = f"cannot be {_SYMBOL[result]} as the file says" if result else "have no unit and the values do not tell it"
     raise DataError(f"{what} {why}; give `wavelength_unit` nm or um, angstrom or 1/cm")

@@ -13,7 +13,7 @@ import pytest
 from lunarsci.cli import main
 
 import lunarsci
-from lunarsci.errors import DataError, OutputError, RequestError
+from lunarsci.errors import DataError, OutputError, ParameterError, RequestError
 from lunarsci.pages.answers import answer
 from lunarsci.pages.documents import Document
 from lunarsci.spectra.jobs.bands import bands
@@ -241,6 +241,24 @@ def test_a_map_of_nothing_says_so(envi: Any, tmp_path: Path) -> None:
         str(envi(np.full((4, 4, 85), -999.0), data_ignore_value=-999)), tmp_path / "map.nc", products="bands"
     )
     assert "no pixel" in result.untrusted
+
+
+def test_a_cube_in_memory_keeps_its_places_and_may_have_its_channels_first() -> None:
+    places = {"y": [10.0, 8.0, 6.0, 4.0, 2.0, 0.0], "x": np.arange(5.0)}
+    cube = xarray.DataArray(CUBE, dims=("y", "x", "wavelength"), coords={**places, "wavelength": WAVELENGTHS})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        maps = [
+            map_cube(one, products=["indices"], every=2)
+            for one in (cube, (WAVELENGTHS, CUBE), (WAVELENGTHS, np.moveaxis(CUBE, -1, 0)))
+        ]
+    first, second, third = (one.to_xarray() for one in maps)
+    assert first["y"].values.tolist() == [10.0, 6.0, 2.0] and first["x"].values.tolist() == [0.0, 2.0, 4.0]
+    assert {"y", "x"} <= set(first.coords) and "y" not in second
+    np.testing.assert_array_equal(second["r540"], third["r540"])
+    assert {one.to_dict()["cube"]["file"] for one in maps} == {"cube.nc"} and maps[0].request.products == "indices"
+    with pytest.raises(ParameterError, match="reflectances of 6 x 5 x 85 beside 4 wavelengths; give"):
+        map_cube((WAVELENGTHS[:4], CUBE))
 
 
 def test_a_map_of_soil_alone_says_why_it_has_no_shares_and_one_of_rock_has_all_four(envi: Any, tmp_path: Path) -> None:

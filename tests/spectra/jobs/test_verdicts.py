@@ -6,8 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.text import Text
 
 import lunarsci
+from lunarsci.errors import ParameterError
 from lunarsci.spectra.jobs.verdicts import bands_verdict, fit_verdict, fits_counted, shares_counted, shares_verdict
 from lunarsci.spectra.mgm.assemblages import standing, verdict
 from lunarsci.spectra.mgm.batch import batch_of
@@ -87,6 +89,18 @@ def test_a_table_has_a_row_of_each_spectrum_where_bands_are_left_out() -> None:
     assert len(each) == 7 < len(bands) and "fs_in_range" in each.colnames
     assert "center_nm" in bands.colnames and "center_nm" not in each.colnames
     assert "the assemblage was assumed: 7 of 7 spectra" in str(found)
+    last = str(each["id"][-1])
+    assert any(text.get_text().startswith(last) for text in found.plot(last).findobj(Text))
+    with pytest.raises(ParameterError, match="page 'nobody': there is no such picture"):
+        found.plot("nobody")
+
+
+def test_craters_have_a_row_of_each_rock_where_parts_are_left_out() -> None:
+    found = lunarsci.match(modes="ol=0.25:0.05,opx=0.35:0.05,cpx=0.4:0.05", name="fin")
+    [row] = found.to_pandas(parts=False).to_dict("records")
+    assert (row["rock"], len(found), len(found.to_table())) == ("fin", 1, 11)
+    assert row["status"] == found["fin"]["status"] and row["likeliest"] in row["status"]
+    assert ".untrusted says why" in repr(found)
 
 
 def test_one_of_two_pyroxenes_is_sure_where_neither_is(fitted: dict[str, Any]) -> None:

@@ -58,7 +58,7 @@ def test_errors_that_channels_cannot_have_each_for_itself_are_said(sigma: float,
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         read_batch([table(scattered, sigma * SOUND)])
-    assert ["name the column NAME_systematic_samples" in str(item.message) for item in caught] == [True] * told
+    assert ["into a column NAME_systematic_samples" in str(item.message) for item in caught] == [True] * told
 
 
 WIDE = np.arange(500.0, 2400.0, 5.0)
