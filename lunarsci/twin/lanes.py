@@ -64,7 +64,7 @@ OUTCOMES = (
     "did not settle: no static equilibrium at the start pose",
     "sank: a wheel is buried to its axle",
     f"cliff: the ground below or before a wheel is steeper than {STEEPEST_DEG:g} deg",
-    "fell: it moved at more than 1 m/s, off a cliff or down a slope that does not hold it",
+    "fell: it moved 1 m/s faster than its wheels can drive it, off a cliff or down a slope that does not hold it",
 )
 """How the drive of a member can end, in words of results."""
 FINISHED, LEFT, HOLE, OVERTURNED, DIVERGED, UNSETTLED, SANK, CLIFF, FELL = range(len(OUTCOMES))

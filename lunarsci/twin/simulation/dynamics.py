@@ -46,7 +46,7 @@ COS_OVERTURNED = math.cos(math.radians(STEEPEST_DEG))
 FASTEST = 10.0
 """No part of a rover that drives at cm/s comes near this speed while the drive has a meaning; assumed. [m/s, rad/s]"""
 FALLING = 1.0
-"""Speed of the rover that no drive reaches: a drop of 0.3 m on the Moon; assumed. [m/s]"""
+"""Speed beyond what is commanded that no drive reaches: a drop of 0.3 m on the Moon; assumed. [m/s]"""
 MOST_LOAD, IMPACT = 2.0, 0.1
 """Wheel load as a share of the weight beyond which a run has lost its meaning, but in an impact: a wheel that comes
 down at more than this speed [m/s], 3 mm of free fall on the Moon; assumed."""
@@ -258,12 +258,12 @@ def move(bodies: Any, time_step_s: Any, lane: Any) -> None:
 
 
 @joined
-def advance(work: Any, time_step_s: float, fall: float) -> None:
-    """End a step that is assembled; `work.code` takes the outcome. `fall` as in `check_health`."""
+def advance(work: Any, time_step_s: float, fall: float, falling: float) -> None:
+    """End a step that is assembled; `work.code` takes the outcome. `fall` and `falling` as in `check_health`."""
     for lane in range(0, GROUP, LANES):
         eliminate(work, lane)
         move(work.body, time_step_s, lane)
-        check_health(work.body, fall, lane)
+        check_health(work.body, fall, falling, lane)
     note_outcomes(work.body, work.code)
 
 
@@ -331,16 +331,17 @@ def check_sense(work: Any, rover: Any, tyre: Any, time_step_s: float, begins: bo
 
 
 @formula
-def check_health(bodies: Any, fall: Any, lane: Any) -> None:
+def check_health(bodies: Any, fall: Any, falling: Any, lane: Any) -> None:
     """Note the members whose state cannot be driven on.
 
     `fall` is the speed gained in a step of free fall [m/s]: what gains twice that comes from the step, not from a fall.
+    A rover that moves at `falling` is not driven any more. [m/s]
     """
     body = BODY.of(bodies, lane)
     fastest, most = 0.0, 0.0
     for speed, change in zip(body.speed, body.change, strict=False):
         fastest, most = highest(abs(speed), fastest), highest(abs(change), most)
-    outcome = choose(fastest >= FALLING, choose(most < 2.0 * fall, FELL, DIVERGED), FINISHED)
+    outcome = choose(fastest >= falling, choose(most < 2.0 * fall, FELL, DIVERGED), FINISHED)
     for speed in (*body.speed, *body.spin, *body.rates):
         outcome = choose(abs(speed) < FASTEST, outcome, DIVERGED)
     body.outcome = choose((outcome == FINISHED) & ~is_upright(body), OVERTURNED, outcome)

@@ -43,7 +43,7 @@ from lunarsci.twin.simulation.contact import (
     rut_grid,
     with_ruts,
 )
-from lunarsci.twin.simulation.dynamics import advance, assemble, check_sense, orient
+from lunarsci.twin.simulation.dynamics import FALLING, advance, assemble, check_sense, orient
 from lunarsci.twin.simulation.settle import settle, tread
 
 SLOW_PARTS = 4
@@ -168,7 +168,7 @@ def drive(
     paths, states : (members, samples, 6) and (members, samples, wheels, 10), filled on.
     results : (members, 2) outcome, and number of samples recorded so far.
     """
-    members, steps = len(paths), steering.shape[1]
+    members, steps, falling = len(paths), steering.shape[1], FALLING + np.abs(speed).max()
     # Lanes beyond the members need no ground; what becomes of them is not looked at.
     for m in range(members, GROUP):
         work.code[m] = LEFT
@@ -195,7 +195,7 @@ def drive(
                             record(work, m, tyre, paths[m, results[m, 1]], states[m, results[m, 1]])
                             results[m, 1] += 1
             if i < steps:
-                advance(work, step, rover.gravity * step)
+                advance(work, step, rover.gravity * step, falling)
     work.frame[6] = 1.0
     for m in range(members):
         results[m, 0] = work.code[m]

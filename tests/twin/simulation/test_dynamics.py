@@ -14,6 +14,7 @@ from lunarsci.twin.lanes import BODY, FELL, FINISHED, GROUP, SYSTEM, WHEEL, Work
 from lunarsci.twin.rover import Rover, build_rover
 from lunarsci.twin.simulation.contact import DRIVEN, MASS_ON_WHEEL, NORMAL_DAMPING, add_rows, meet_ground
 from lunarsci.twin.simulation.dynamics import (
+    FALLING,
     advance,
     assemble,
     begin_system,
@@ -265,7 +266,7 @@ def test_free_fall_is_exact(rover: Rover) -> None:
     dt = 0.01
     for k in range(1, 61):
         assemble(vector, tyre, ABYSS, OWN_SOIL, dt, DRIVEN, work)
-        advance(work, dt, rover.gravity_m_s2 * dt)
+        advance(work, dt, rover.gravity_m_s2 * dt, FALLING)
         t = k * dt
         assert (work.code == (FELL if rover.gravity_m_s2 * t - 0.3 >= 1.0 else FINISHED)).all()
         expected = np.array([0.1, -0.2, 0.3]) * t - np.array([0, 0, 0.5 * rover.gravity_m_s2 * t * t])

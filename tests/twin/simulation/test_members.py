@@ -202,6 +202,12 @@ def test_a_slope_that_does_not_hold_the_rover_is_a_fall(yutu2: Rover, longji_soi
     assert np.isfinite(result.paths).all()
 
 
+def test_a_rover_that_is_to_drive_fast_does_not_fall(yutu2: Rover, slope, straight) -> None:  # type: ignore[no-untyped-def]
+    fast = dataclasses.replace(yutu2, max_speed_m_s=2.0, motors=None)
+    result = predict(fast, slope(), straight(2.0, speed_m_s=1.2), sweep=(), time_step_s=0.02)
+    assert result.outcome_text(0) == "finished"
+
+
 def test_steps_of_1_ms_and_of_half_a_second(yutu2: Rover, slope, straight) -> None:  # type: ignore[no-untyped-def]
     assert predict(yutu2, slope(), straight(0.1), sweep=(), time_step_s=0.001).outcome_text(0) == "finished"
     with pytest.raises(ParameterError, match=r"time_step_s is 0\.5.*0\.2"):
