@@ -219,7 +219,7 @@ def interval_of(item: Result) -> tuple[float, float, float] | None:
 @answers("What the drive teaches of the soil", "twin-update")
 def learned(result: Result) -> ResultAnswer:
     if result.get("refused"):
-        return ResultAnswer(f"Nothing was learned from this drive: {result['refused']}.")
+        return ResultAnswer(sentence(f"nothing was learned from this drive: {result['refused']}"))
     changes = len(result.get("changes", ()))
     changed = (
         f" The soil changes in {counted(changes, 'place')}."

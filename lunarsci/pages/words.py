@@ -214,12 +214,12 @@ def each(
 
 
 def sentence(text: str) -> str:
-    """Text of a command with a capital letter and a full stop.
+    """Text of a command with a capital letter and a full stop, where it does not ask.
 
-    >>> sentence("no-go: too steep")
-    'No-go: too steep.'
+    >>> sentence("no-go: too steep"), sentence("is it in km?")
+    ('No-go: too steep.', 'Is it in km?')
     """
-    return f"{text[:1].upper()}{text[1:].rstrip('.')}." if text else ""
+    return f"{text[:1].upper()}{text[1:].rstrip('.')}{'' if text.endswith('?') else '.'}" if text else ""
 
 
 FORMER_PAGE = "holds the first page only; a .pdf holds all"

@@ -75,8 +75,10 @@ SLIGHT = {
 }
 """What is left of a quantity and is no reason to refuse, however small the quantity; assumed."""
 MOST_OF_A_WHEEL = 0.3
-"""What single wheels may be off by throughout, of a slip of 1, of the mean sinkage or side slip, or of the load;
+"""What single wheels may be off by throughout, of a slip of 1 along or across, of the mean sinkage, or of the load;
 assumed."""
+SLIP_OF_1 = {"slip_ratio": 1.0, "side_slip_deg": math.degrees(1.0)}
+"""By definition: a speed across that is the one along is a side slip of 1 rad, to the first order."""
 LARGE = {name: "normal_force_n" if name.endswith("_n") else name for name in OBSERVED}
 """The quantity whose size errors of each quantity are held against: forces against the load."""
 LEAST_FLOOR = 0.05
@@ -416,7 +418,7 @@ def _refusal(
         return f"the best soil misses {worst} by {factor:.1f} times its errors; look at its sign and unit, or {look}"
     for name, size in wheels.items():
         typical = float(np.abs(expected[:, OBSERVED.index(LARGE[name])]).mean())
-        if size > MOST_OF_A_WHEEL * (1.0 if name == "slip_ratio" else typical):
+        if size > MOST_OF_A_WHEEL * SLIP_OF_1.get(name, typical):
             return f"single wheels are off in {name} by {size:.3g} throughout; are wheels exchanged?"
     return ""
 

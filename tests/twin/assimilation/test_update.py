@@ -260,6 +260,9 @@ def test_outliers_and_single_wheels_are_refused_as_before(best: Prediction) -> N
     plain, expected = level_drive(best, {}, {}), expected_of(best)
     assert "values are explained by no soil" in _refusal(plain, int(0.1 * plain.counted.sum()), {}, expected, best)
     assert "are wheels exchanged" in _refusal(plain, 0, {"sinkage_m": 0.02}, expected, best)
+    # A level drive has hardly any side slip; that wheels are off by more than it is nothing against them.
+    assert _refusal(plain, 0, {"side_slip_deg": 0.7}, expected, best) == ""
+    assert "off in side_slip_deg" in _refusal(plain, 0, {"side_slip_deg": 20.0}, expected, best)
 
 
 def test_what_states_leave_unexplained_widens_the_discrepancy(best: Prediction) -> None:
