@@ -75,7 +75,7 @@ def words(key: str) -> str:
     """A key in words, its unit in brackets.
 
     >>> words("center_nm"), words("slip_ratio"), words("result.rover_id")
-    ('center [nm]', 'slip ratio', 'result, rover id')
+    ('centre [nm]', 'slip ratio', 'result, rover id')
     """
     if key in NAMES:
         return NAMES[key]

@@ -451,6 +451,9 @@ def _notes(prediction: Prediction, judged: tuple[Judgement, ...], states: Validi
         notes.append(f"limits that the plan leaves out are the rover's own: {', '.join(implied)}")
     given, lacking = [limit.quantity for limit in prediction.plan.limits], not_judged(prediction)
     notes += [f"{name} was not judged: {lacking[name]}" for name in given if name in lacking]
+    slip = prediction.states[prediction.reached][..., STATE_COLUMNS.index("slip_ratio")]
+    if slip.size and -slip.min() > slip.max():
+        notes.append(f"limits count the size of slip_ratio; the largest, {slip.min():.3g}, is that of a braking wheel")
     if touches:
         notes.append("the chassis would touch the ground; the drives go on as if it did not")
     among = arrivals(int(prediction.finished.sum()), prediction.members)

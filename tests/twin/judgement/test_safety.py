@@ -38,6 +38,15 @@ def test_small_clearances_are_the_bad_ones(driven: Prediction) -> None:
     assert "which 2 of 20 drives break" in verdict.reasons[0] and not any("break" in note for note in verdict.notes)
 
 
+def test_the_sign_of_the_largest_slip_is_said_where_it_is_that_of_a_braking_wheel(driven: Prediction) -> None:
+    states = driven.states.copy()
+    for slip, said in ((0.4, 0), (-0.4, 1)):
+        states[..., SLIP] = 0.1
+        states[2, 3, 0, SLIP] = slip
+        notes = judge(dataclasses.replace(driven, states=states)).notes
+        assert sum(note.startswith("limits count the size of slip_ratio; the largest, -0.4,") for note in notes) == said
+
+
 def test_limits_and_ends_are_said_to_be_of_the_drives_that_arrived(driven: Prediction) -> None:
     outcome = driven.outcome.copy()
     outcome[0] = LEFT
