@@ -45,7 +45,6 @@ def __getattr__(name: str) -> Any:
     part = next((part for part in COMMANDS if name in functions_of(part)), "")
     if name not in _ELSEWHERE and not part:
         raise AttributeError(f"module 'lunarsci' has no attribute '{name}'")
-    import_module("lunarsci.result").Result.renderer = staticmethod(_renderer)
     return getattr(import_module(_ELSEWHERE.get(name, f"lunarsci.{part}.jobs.{name}")), name)
 
 

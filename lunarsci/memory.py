@@ -11,6 +11,7 @@ import os
 import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory, mkdtemp
 from typing import Any, Protocol
@@ -25,6 +26,9 @@ BEGINNINGS = {
     b"{": ".json",
 }  # fmt: skip
 """How files begin whose format is told so, and how their names end."""
+_ROOM = "lunarsci-"
+_FOLDERS = re.compile(rf"[^\s\"'`(,;:=]*{_ROOM}\w{{8}}[/\\]tmp\w{{8}}[/\\](?:[\w-]+[/\\])?")
+"""Folders of files of what is in memory, with names as `tempfile` makes them."""
 _KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -115,7 +119,7 @@ def _files_for(role: str, result: AsFiles) -> Mapping[str, Callable[[], bytes]]:
 @functools.cache
 def _room() -> "TemporaryDirectory[str]":
     """Where such files lie until the process ends."""
-    return TemporaryDirectory(prefix="lunarsci-")
+    return TemporaryDirectory(prefix=_ROOM)
 
 
 def new_path(name: str) -> Path:
@@ -132,10 +136,22 @@ def _in_a_folder(name: str, contents: Mapping[str, Callable[[], bytes]]) -> str:
 
 
 def as_named(text: str) -> str:
-    """A text without the folders in which files of what is in memory lie."""
-    if not _room.cache_info().currsize:  # none was needed so far
+    """A text without the folders in which files of what is in memory lie, of this process or an earlier one."""
+    if _ROOM not in text:
         return text
-    return re.sub(re.escape(f"{_room().name}{os.sep}") + r"\w+[/\\]([\w-]+[/\\])?", "", text)
+    here = _room().name if _room.cache_info().currsize else ""
+    return _FOLDERS.sub("", text.replace(here, Path(here).name) if here else text)
+
+
+def named_within(value: Any) -> Any:
+    """The same of all texts in dicts, their keys too, in lists and in dataclasses that have such a folder."""
+    if isinstance(value, str):
+        return as_named(value)
+    if isinstance(value, Mapping):
+        return {as_named(key) if isinstance(key, str) else key: named_within(one) for key, one in value.items()}
+    if is_dataclass(value) and not isinstance(value, type):
+        return replace(value, **{item.name: named_within(getattr(value, item.name)) for item in fields(value)})
+    return type(value)(map(named_within, value)) if type(value) in (list, tuple) else value
 
 
 def _read(file: Any) -> bytes:

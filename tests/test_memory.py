@@ -78,8 +78,10 @@ def test_a_path_is_planned_on_an_array_and_driven() -> None:
     ]
     ends = [drive.to_dict()["endpoint"]["x_m"] for drive in drives]
     assert ends == pytest.approx([2.0] * 3, abs=0.3) and np.ptp(ends) < 1e-6
-    for text in (drives[0].to_json(), str(drives[0]), repr(drives[0])):
+    texts = [drives[0].to_json(), str(drives[0]), repr(drives[0])]
+    for text in (*texts, str(drives[0].to_dict()), str(drives[0].made_from), str(drives[0].asked)):
         assert "/lunarsci-" not in text
+    assert "plan.toml" in drives[0].made_from.inputs
     assert "twin-terrain/plan.toml" not in str(drives[0]) and '"plan.toml"' in drives[0].to_json()
     with pytest.raises(ParameterError, match="`plan`: the result has not one plan") as caught:
         lunarsci.predict(SimpleSurvey())
@@ -247,6 +249,15 @@ def test_results_have_rows_by_name_and_compare_by_what_they_say() -> None:
     assert found != lunarsci.bands(1.01 * lab) and len({found, copy.deepcopy(found)}) == 1
     with pytest.raises(DataError, match=r"predicted\.toml: no prediction\.json in it"):
         lunarsci.compare({"bc1000_nm": 3}, STATES)
+
+
+def test_a_pickled_result_has_its_text_in_another_process() -> None:
+    drives = lunarsci.predict(PLAN, terrain=(X, Y, Z), members=1, soil="priors")
+    code = "import pickle, sys; print(pickle.load(sys.stdin.buffer).to_text())"
+    done = subprocess.run([sys.executable, "-c", code], input=pickle.dumps(drives), capture_output=True, check=True)
+    assert "\ntilt_deg " in done.stdout.decode() and "/lunarsci-" not in done.stdout.decode()
+    earlier = "drives of /tmp/lunarsci-slla84jr/tmp36n04av1/twin-predict on /a b/lunarsci-demo/rock.ecsv"
+    assert as_named(earlier) == "drives of twin-predict on /a b/lunarsci-demo/rock.ecsv"
 
 
 def test_a_figure_shows_itself_and_many_rows_are_cut() -> None:
