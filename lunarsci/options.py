@@ -44,6 +44,7 @@ OF_RESULTS = {
     "field": "to_dict()",
     "json": "to_dict()",
     "plot": "plot()",
+    "save": "files()",
     "save_map": "map_bytes()",
     "verbose": "to_text()",
 }
