@@ -16,6 +16,7 @@ imported when they are first named. Other commands, such as `info`, are on the c
 from importlib import import_module
 from typing import Any
 
+from lunarsci import errors as errors
 from lunarsci.registry import COMMANDS, functions_of
 
 JOBS = {part: functions_of(part) for part in COMMANDS}

@@ -21,6 +21,7 @@ from lunarsci.units import unit_of
 
 FORMS = "a path, an open file, bytes, a dict, a table, a Dataset, or (x, y, heights)"
 """What can be given for a file, in words."""
+FORMS_OF_CUBE = "a path, an open file, bytes, an array of xarray, or (wavelength_nm, reflectance of three dimensions)"
 BEGINNINGS = {
     b"CDF": ".nc", b"\x89HDF": ".nc", b"II*\0": ".tif", b"MM\0*": ".tif", b"\x89PNG": ".png", b"\xff\xd8": ".jpg",
     b"{": ".json",
@@ -61,7 +62,7 @@ def content_of(value: Any) -> tuple[bytes, str] | None:
         return _ecsv(value), ".csv"
     if hasattr(value, "to_pandas") or hasattr(value, "to_csv") or _is_records(value):
         return _csv(value.to_pandas() if hasattr(value, "to_pandas") else value), ".csv"
-    if _is_cube(value):
+    if is_cube(value):
         return _netcdf(_cube(*value)), ".nc"
     return (_archive(dict(zip(("x_m", "y_m", "height_m"), value, strict=True))), ".npz") if _is_grid(value) else None
 
@@ -83,7 +84,7 @@ def on_disk(role: str, value: Any) -> Any:
         return os.fspath(value)
     if hasattr(value, "as_input"):
         return _in_a_folder(value.schema.partition("/")[0], _files_for(role, value))
-    if isinstance(value, list | tuple) and not (_is_grid(value) or _is_cube(value)):
+    if isinstance(value, list | tuple) and not (_is_grid(value) or is_cube(value)):
         return type(value)([on_disk(role, one) for one in value])
     content = content_of(value)
     if content is None:
@@ -97,7 +98,8 @@ def path_of(role: str, value: Any) -> Any:
     """The same for an input that is nothing but a file, or several. Raises ParameterError for what can be none."""
     given = on_disk(role, value)
     if not (given is None or isinstance(given, str | list | tuple)):
-        raise ParameterError(f"`{role}` is of {type(value).__name__}, which cannot be read; give {FORMS}")
+        forms = FORMS if role != "cube" else FORMS_OF_CUBE
+        raise ParameterError(f"`{role}` is of {type(value).__name__}, which cannot be read; give {forms}")
     return given
 
 
@@ -191,7 +193,7 @@ def _is_grid(value: Any) -> bool:
     return isinstance(value, list | tuple) and len(value) == 3 and _dimensions(value[2]) == 2
 
 
-def _is_cube(value: Any) -> bool:
+def is_cube(value: Any) -> bool:
     """Whether something is wavelengths, and reflectances over lines, samples and these."""
     return isinstance(value, tuple) and len(value) == 2 and _dimensions(value[1]) == 3
 

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, ParamSpec, TypeAlias, TypeVar, 
 
 from lunarsci.errors import Failure, LunarSciWarning, ParameterError, worded
 from lunarsci.figure import is_named, shown, styled
-from lunarsci.memory import as_named, named_within, path_of, results_on_disk
+from lunarsci.memory import as_named, is_cube, named_within, path_of, results_on_disk
 from lunarsci.minerals import WITH_BANDS
 from lunarsci.names import some_of
 from lunarsci.options import in_python, options_text, request_of
@@ -46,6 +46,7 @@ _MINERAL, _OF = f"({'|'.join(WITH_BANDS)})", "(_(low|high|sigma)(68|95)?)?$"
 MEANT = (
     (re.compile(f"^([a-z0-9]+_)?{_MINERAL}{_OF}"), "", "share of the mineral, as a fraction of 1"),
     (re.compile(f"^{_MINERAL}_present$"), "", "probability of more than 5 % of the mineral"),
+    (re.compile("^probability_of_"), "", "probability that the fit needs it; whether it is there, `unmix` says"),
     (re.compile(f"^{_MINERAL}_in_(mafic|pyroxene){_OF}"), "", "ratio of minerals, as a fraction of 1"),
     (re.compile("^(fo|fs|wo)_"), "%", "composition of the mineral in mol %"),
 )
@@ -330,7 +331,7 @@ class Result(ABC):
     def to_xarray(self) -> "Dataset":
         """A grid as a Dataset: heights, maps of ground, designs, drives by time. ParameterError where there is none."""
         layers = self.layers()
-        refuse({f"a {type(self).__name__} is no grid; to_pandas() has its table, and `map_cube` maps": not layers})
+        refuse({f"a {type(self).__name__} is no grid; to_pandas() has its table": not layers})
         try:
             from xarray import Dataset
         except ImportError as error:
@@ -420,8 +421,11 @@ def job(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
 
 
 def _together(args: tuple[Any, ...], kind: type, signature: inspect.Signature) -> tuple[Any, ...]:
-    """What a function was called with; arrays of a spectrum one after the other are one input: `bands(w, r)`."""
-    arrays = next(iter(signature.parameters)) == "spectra" and len(args) in (2, 3)
+    """What a function was called with; arrays of a spectrum or cube one after the other are one input."""
+    first = next(iter(signature.parameters))
+    if first == "cube" and is_cube(args[:2]):
+        return args[:2], *args[2:]
+    arrays = first == "spectra" and len(args) in (2, 3)
     return (args,) if arrays and not isinstance(args[1], kind | None) else args
 
 

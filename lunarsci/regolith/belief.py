@@ -378,7 +378,7 @@ def belief_of(document: Mapping[str, Any]) -> SoilBelief:
             return _belief_of_result(document)
     after = "the record of `twin update`, which leaves out how parameters hang together; give the belief.json of --save"
     refuse({after: schema.startswith("lunarsci/twin-update/")})
-    refuse({f"not a soil belief; give what --save of `twin update` writes, whose schema is {SCHEMA}": schema != SCHEMA})
+    refuse({f"not a soil belief; its schema must be {SCHEMA}, as --save of `twin update` writes it": schema != SCHEMA})
     with named("", ParameterError):
         laws = {name: Law(**document["laws"][name]) for name in document["order"]}
         mean, covariance = (np.array(document[key], dtype=np.float64) for key in ("mean", "covariance"))
