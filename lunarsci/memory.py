@@ -28,7 +28,7 @@ BEGINNINGS = {
 }  # fmt: skip
 """How files begin whose format is told so, and how their names end."""
 _ROOM = "lunarsci-"
-_FOLDERS = re.compile(rf"[^\s\"'`(,;:=]*{_ROOM}\w{{8}}[/\\]tmp\w{{8}}[/\\](?:[\w-]+[/\\])?")
+_FOLDERS = re.compile(rf"[^\s\"'`(,;:=]*{_ROOM}\w{{8}}[/\\]tmp\w{{8}}[/\\]([\w-]+[/\\])?")
 """Folders of files of what is in memory, with names as `tempfile` makes them."""
 _KEY = re.compile(r"[A-Za-z0-9_-]+")
 
@@ -137,12 +137,14 @@ def _in_a_folder(name: str, contents: Mapping[str, Callable[[], bytes]]) -> str:
     return str(folder / next(iter(contents)) if len(contents) == 1 else folder)
 
 
-def as_named(text: str) -> str:
-    """A text without the folders in which files of what is in memory lie, of this process or an earlier one."""
+def as_named(text: str, *, role: bool = False) -> str:
+    """A text without the folders in which files of what is in memory lie, of this process or an earlier one; but for
+    the last one with a `role`.
+    """
     if _ROOM not in text:
         return text
     here = _room().name if _room.cache_info().currsize else ""
-    return _FOLDERS.sub("", text.replace(here, Path(here).name) if here else text)
+    return _FOLDERS.sub(r"\1" if role else "", text.replace(here, Path(here).name) if here else text)
 
 
 def named_within(value: Any) -> Any:
@@ -150,10 +152,22 @@ def named_within(value: Any) -> Any:
     if isinstance(value, str):
         return as_named(value)
     if isinstance(value, Mapping):
-        return {as_named(key) if isinstance(key, str) else key: named_within(one) for key, one in value.items()}
+        made: dict[Any, Any] = {}
+        for key, one in value.items():
+            made[_name_beside(made, key) if isinstance(key, str) else key] = named_within(one)
+        return made
     if is_dataclass(value) and not isinstance(value, type):
         return replace(value, **{item.name: named_within(getattr(value, item.name)) for item in fields(value)})
     return type(value)(map(named_within, value)) if type(value) in (list, tuple) else value
+
+
+def _name_beside(others: Mapping[Any, Any], path: str) -> str:
+    """The name of an input: of several alike with its role, or numbered."""
+    name = as_named(path)
+    if name not in others:
+        return name
+    names = (as_named(path, role=True), *(f"{name} {k}" for k in range(2, len(others) + 3)))
+    return next(one for one in names if one not in others)
 
 
 def _read(file: Any) -> bytes:

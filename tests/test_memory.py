@@ -26,7 +26,7 @@ from astropy.table import QTable
 import lunarsci
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
 from lunarsci.io.inputs import read_input
-from lunarsci.memory import as_named, content_of, on_disk, toml_text
+from lunarsci.memory import as_named, content_of, named_within, on_disk, toml_text
 from lunarsci.options import in_python
 from lunarsci.regolith.soil import read_soil
 from lunarsci.result import Result
@@ -312,6 +312,8 @@ def test_a_pickled_result_has_its_text_in_another_process() -> None:
     done = subprocess.run([sys.executable, "-c", code], input=pickle.dumps(drives), capture_output=True, check=True)
     assert "\ntilt_deg " in done.stdout.decode() and "/lunarsci-" not in done.stdout.decode()
     earlier = "drives of /tmp/lunarsci-slla84jr/tmp36n04av1/twin-predict on /a b/lunarsci-demo/rock.ecsv"
+    alike = {f"/tmp/lunarsci-slla84jr/tmp36n04av{k}/terrain/terrain.npz": k for k in range(3)}
+    assert named_within(alike) == {"terrain.npz": 0, "terrain/terrain.npz": 1, "terrain.npz 2": 2}
     assert as_named(earlier) == "drives of twin-predict on /a b/lunarsci-demo/rock.ecsv"
 
 

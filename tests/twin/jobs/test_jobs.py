@@ -41,6 +41,8 @@ def test_results_go_where_their_files_go(files: Path) -> None:
     (files / "pred.json").write_text(predicted.to_json(), "utf-8")
     with pytest.raises(DataError, match=r"pred\.json: no folder; give .* in Python the result of `predict`"):
         lunarsci.compare(files / "pred.json", states)
+    with pytest.raises(DataError, match=r"pred\.json: is JSON, no table; give the table itself, as files\(\)"):
+        lunarsci.compare(predicted, files / "pred.json")
     assert "1 drive" in predicted.inputs.soil_notes(16, 0)[0]
     with pytest.raises(DataError, match=r"has learned from .*states\.csv already"):
         lunarsci.update(states, soil=of_result, particles=32)
