@@ -16,6 +16,7 @@ imported when they are first named. Other commands, such as `info`, are on the c
 from importlib import import_module
 from typing import Any
 
+from lunarsci import errors as errors
 from lunarsci.registry import COMMANDS, functions_of
 
 JOBS = {part: functions_of(part) for part in COMMANDS}
@@ -45,7 +46,6 @@ def __getattr__(name: str) -> Any:
     part = next((part for part in COMMANDS if name in functions_of(part)), "")
     if name not in _ELSEWHERE and not part:
         raise AttributeError(f"module 'lunarsci' has no attribute '{name}'")
-    import_module("lunarsci.result").Result.renderer = staticmethod(_renderer)
     return getattr(import_module(_ELSEWHERE.get(name, f"lunarsci.{part}.jobs.{name}")), name)
 
 

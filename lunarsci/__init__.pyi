@@ -1,3 +1,4 @@
+from lunarsci import errors as errors
 from lunarsci.guide.cite import cite as cite
 from lunarsci.images.jobs.calibrate_cameras import calibrate_cameras as calibrate_cameras
 from lunarsci.images.jobs.cameras import cameras as cameras

@@ -11,6 +11,7 @@ import os
 import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory, mkdtemp
 from typing import Any, Protocol
@@ -20,11 +21,15 @@ from lunarsci.units import unit_of
 
 FORMS = "a path, an open file, bytes, a dict, a table, a Dataset, or (x, y, heights)"
 """What can be given for a file, in words."""
+FORMS_OF_CUBE = "a path, an open file, bytes, an array of xarray, or (wavelength_nm, reflectance of three dimensions)"
 BEGINNINGS = {
     b"CDF": ".nc", b"\x89HDF": ".nc", b"II*\0": ".tif", b"MM\0*": ".tif", b"\x89PNG": ".png", b"\xff\xd8": ".jpg",
     b"{": ".json",
 }  # fmt: skip
 """How files begin whose format is told so, and how their names end."""
+_ROOM = "lunarsci-"
+_FOLDERS = re.compile(rf"[^\s\"'`(,;:=]*{_ROOM}\w{{8}}[/\\]tmp\w{{8}}[/\\]([\w-]+[/\\])?")
+"""Folders of files of what is in memory, with names as `tempfile` makes them."""
 _KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -57,7 +62,7 @@ def content_of(value: Any) -> tuple[bytes, str] | None:
         return _ecsv(value), ".csv"
     if hasattr(value, "to_pandas") or hasattr(value, "to_csv") or _is_records(value):
         return _csv(value.to_pandas() if hasattr(value, "to_pandas") else value), ".csv"
-    if _is_cube(value):
+    if is_cube(value):
         return _netcdf(_cube(*value)), ".nc"
     return (_archive(dict(zip(("x_m", "y_m", "height_m"), value, strict=True))), ".npz") if _is_grid(value) else None
 
@@ -79,7 +84,7 @@ def on_disk(role: str, value: Any) -> Any:
         return os.fspath(value)
     if hasattr(value, "as_input"):
         return _in_a_folder(value.schema.partition("/")[0], _files_for(role, value))
-    if isinstance(value, list | tuple) and not (_is_grid(value) or _is_cube(value)):
+    if isinstance(value, list | tuple) and not (_is_grid(value) or is_cube(value)):
         return type(value)([on_disk(role, one) for one in value])
     content = content_of(value)
     if content is None:
@@ -93,7 +98,8 @@ def path_of(role: str, value: Any) -> Any:
     """The same for an input that is nothing but a file, or several. Raises ParameterError for what can be none."""
     given = on_disk(role, value)
     if not (given is None or isinstance(given, str | list | tuple)):
-        raise ParameterError(f"`{role}` is of {type(value).__name__}, which cannot be read; give {FORMS}")
+        forms = FORMS if role != "cube" else FORMS_OF_CUBE
+        raise ParameterError(f"`{role}` is of {type(value).__name__}, which cannot be read; give {forms}")
     return given
 
 
@@ -115,7 +121,7 @@ def _files_for(role: str, result: AsFiles) -> Mapping[str, Callable[[], bytes]]:
 @functools.cache
 def _room() -> "TemporaryDirectory[str]":
     """Where such files lie until the process ends."""
-    return TemporaryDirectory(prefix="lunarsci-")
+    return TemporaryDirectory(prefix=_ROOM)
 
 
 def new_path(name: str) -> Path:
@@ -131,11 +137,37 @@ def _in_a_folder(name: str, contents: Mapping[str, Callable[[], bytes]]) -> str:
     return str(folder / next(iter(contents)) if len(contents) == 1 else folder)
 
 
-def as_named(text: str) -> str:
-    """A text without the folders in which files of what is in memory lie."""
-    if not _room.cache_info().currsize:  # none was needed so far
+def as_named(text: str, *, role: bool = False) -> str:
+    """A text without the folders in which files of what is in memory lie, of this process or an earlier one; but for
+    the last one with a `role`.
+    """
+    if _ROOM not in text:
         return text
-    return re.sub(re.escape(f"{_room().name}{os.sep}") + r"\w+[/\\]([\w-]+[/\\])?", "", text)
+    here = _room().name if _room.cache_info().currsize else ""
+    return _FOLDERS.sub(r"\1" if role else "", text.replace(here, Path(here).name) if here else text)
+
+
+def named_within(value: Any) -> Any:
+    """The same of all texts in dicts, their keys too, in lists and in dataclasses that have such a folder."""
+    if isinstance(value, str):
+        return as_named(value)
+    if isinstance(value, Mapping):
+        made: dict[Any, Any] = {}
+        for key, one in value.items():
+            made[_name_beside(made, key) if isinstance(key, str) else key] = named_within(one)
+        return made
+    if is_dataclass(value) and not isinstance(value, type):
+        return replace(value, **{item.name: named_within(getattr(value, item.name)) for item in fields(value)})
+    return type(value)(map(named_within, value)) if type(value) in (list, tuple) else value
+
+
+def _name_beside(others: Mapping[Any, Any], path: str) -> str:
+    """The name of an input: of several alike with its role, or numbered."""
+    name = as_named(path)
+    if name not in others:
+        return name
+    names = (as_named(path, role=True), *(f"{name} {k}" for k in range(2, len(others) + 3)))
+    return next(one for one in names if one not in others)
 
 
 def _read(file: Any) -> bytes:
@@ -175,7 +207,7 @@ def _is_grid(value: Any) -> bool:
     return isinstance(value, list | tuple) and len(value) == 3 and _dimensions(value[2]) == 2
 
 
-def _is_cube(value: Any) -> bool:
+def is_cube(value: Any) -> bool:
     """Whether something is wavelengths, and reflectances over lines, samples and these."""
     return isinstance(value, tuple) and len(value) == 2 and _dimensions(value[1]) == 3
 

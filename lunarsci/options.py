@@ -44,10 +44,13 @@ OF_RESULTS = {
     "field": "to_dict()",
     "json": "to_dict()",
     "plot": "plot()",
+    "save": "files()",
     "save_map": "map_bytes()",
     "verbose": "to_text()",
 }
 """What the command line is asked for by an option, and Python has as a method of the result."""
+STATED = ("modes", "bands")
+"""Options that are values and errors by name, and in Python a dict as well."""
 _VALUE = r"(?=[^ ,;:)]*[\d=A-Z])[^ ,;:)]+(?:,[a-z_]+=[^ ,;:)]+)*|auto|priors"
 _FLAG = re.compile(rf"(?<![\w-])--([a-z][a-z0-9-]*)(?:[ =]({_VALUE}))?")
 _WRITTEN = re.compile(r"(?<![\w-])-o [A-Z][A-Z.a-z]*")
@@ -117,8 +120,13 @@ def as_meant(name: str, value: Any, hint: Any) -> Any:
         value = value.item()
     if getattr(value, "ndim", 0) == 1 and hasattr(value, "tolist"):
         value = tuple(value.tolist())
+    if name in STATED and isinstance(value, Mapping):
+        value = ",".join(f"{key}={_joined(':', one)}" for key, one in value.items())
     if "str" in str(hint):
         value = on_disk(name, value)
+    texts = {str, tuple[float, ...]} <= {*get_args(hint)}
+    if texts and isinstance(value, tuple | list) and all(isinstance(one, int | float) for one in value):
+        return _joined(",", value)
     if get_origin(hint) is tuple:
         return (value,) if isinstance(value, str) else value
     plain = {str, int, float} & {hint, *get_args(hint)}
@@ -129,6 +137,11 @@ def as_meant(name: str, value: Any, hint: Any) -> Any:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return value
     return repr(value) if plain == {str} else float(value) if float in plain else value
+
+
+def _joined(sign: str, values: Any) -> str:
+    """One number or several as text."""
+    return sign.join(map(str, values)) if isinstance(values, list | tuple) else str(values)
 
 
 def _number(text: str) -> Any:
@@ -156,6 +169,9 @@ def request_of(kind: type[Request], request: Request | None, options: Mapping[st
 
     Raises RequestError for a name that is none of its options, and for a value that an option cannot have.
     """
+    if request is not None and not isinstance(request, kind):
+        kinds = f"of {type(request).__name__}, and not a {kind.__name__}"
+        raise RequestError(f"`request` is {kinds}; give options by name, and several inputs in a list")
     names = [item.name for item in dataclasses.fields(kind)]  # type: ignore[arg-type]
     if wrong := next((name for name in options if name not in names), None):
         other = TYPED.get(wrong)

@@ -14,13 +14,14 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from itertools import islice
 from types import FrameType
 from typing import TYPE_CHECKING, Any, ClassVar, ParamSpec, TypeAlias, TypeVar, get_args
 
 from lunarsci.errors import Failure, LunarSciWarning, ParameterError, worded
 from lunarsci.figure import is_named, shown, styled
-from lunarsci.memory import as_named, path_of, results_on_disk
+from lunarsci.memory import as_named, is_cube, named_within, path_of, results_on_disk
 from lunarsci.minerals import WITH_BANDS
 from lunarsci.names import some_of
 from lunarsci.options import in_python, options_text, request_of
@@ -45,6 +46,7 @@ _MINERAL, _OF = f"({'|'.join(WITH_BANDS)})", "(_(low|high|sigma)(68|95)?)?$"
 MEANT = (
     (re.compile(f"^([a-z0-9]+_)?{_MINERAL}{_OF}"), "", "share of the mineral, as a fraction of 1"),
     (re.compile(f"^{_MINERAL}_present$"), "", "probability of more than 5 % of the mineral"),
+    (re.compile("^probability_of_"), "", "probability that the fit needs it; whether it is there, `unmix` says"),
     (re.compile(f"^{_MINERAL}_in_(mafic|pyroxene){_OF}"), "", "ratio of minerals, as a fraction of 1"),
     (re.compile("^(fo|fs|wo)_"), "%", "composition of the mineral in mol %"),
 )
@@ -182,13 +184,13 @@ class Result(ABC):
     page_title: ClassVar[str] = ""
     sources: ClassVar[Sequence[str]] = ()
     asked: Asked | None = field(default=None, compare=False)
-    renderer: ClassVar[Any] = None
-    """Where the text and the HTML of a result come from; without it they are those of its table."""
 
     def __init_subclass__(cls, **more: Any) -> None:
         # A dataclass leaves a method that is there alone; one made of all fields would fill pages.
         cls.__repr__ = Result.__repr__  # type: ignore[method-assign]
         cls.__eq__, cls.__hash__ = Result.__eq__, Result.__hash__  # type: ignore[method-assign]
+        for name in {"to_dict", "made_from"} & vars(cls).keys():
+            setattr(cls, name, _with_names(vars(cls)[name]))
 
     def __repr__(self) -> str:
         made_by = f" of {self.asked.command}" if self.asked else ""
@@ -238,13 +240,11 @@ class Result(ABC):
         return hash(self.schema)
 
     def __str__(self) -> str:
-        text: str = self.renderer().as_text(self) if self.renderer else str(self.to_table())
-        return text
+        return str(_renderer().as_text(self))
 
     def to_text(self) -> str:
         """All that its command prints with `--verbose`; `print` shows the first screen of it."""
-        text: str = self.renderer().as_whole_text(self) if self.renderer else str(self.to_table())
-        return text
+        return str(_renderer().as_whole_text(self))
 
     @property
     def made_from(self) -> MadeFrom:
@@ -331,7 +331,7 @@ class Result(ABC):
     def to_xarray(self) -> "Dataset":
         """A grid as a Dataset: heights, maps of ground, designs, drives by time. ParameterError where there is none."""
         layers = self.layers()
-        refuse({f"a {type(self).__name__} is no grid; to_pandas() has its table, and `map_cube` maps": not layers})
+        refuse({f"a {type(self).__name__} is no grid; to_pandas() has its table": not layers})
         try:
             from xarray import Dataset
         except ImportError as error:
@@ -375,8 +375,21 @@ class Result(ABC):
         return shown(figure)
 
     def _repr_html_(self) -> str:
-        made: str = self.renderer().as_html(self) if self.renderer else self.to_table()._repr_html_()
-        return made
+        return str(_renderer().as_html(self))
+
+
+def _renderer() -> Any:
+    """What makes the text and the HTML of a result: it stands above the library, whose package names it."""
+    return import_module("lunarsci")._renderer()
+
+
+def _with_names(member: Any) -> Any:
+    """A method or property of a result, in what it gives the names of inputs in memory, not the paths they lie at."""
+    if isinstance(member, property):
+        return property(_with_names(member.fget))
+    if hasattr(member, "__wrapped__"):  # a dataclass with slots is made twice
+        return member
+    return functools.wraps(member)(lambda self: named_within(member(self)))
 
 
 def job(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
@@ -398,7 +411,7 @@ def job(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
                 arguments[name] = read(name, arguments[name])
             request = arguments["request"] = request_of(kind, arguments.get("request"), replaced)
             result = function(*bound.args, **bound.kwargs)
-        fields = {item.name: plain(getattr(request, item.name)) for item in dataclasses.fields(request)}
+        fields = {item.name: named_within(plain(getattr(request, item.name))) for item in dataclasses.fields(request)}
         object.__setattr__(result, "asked", Asked(f"lunarsci.{function.__name__}", fields, heard))
         return result
 
@@ -408,8 +421,11 @@ def job(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
 
 
 def _together(args: tuple[Any, ...], kind: type, signature: inspect.Signature) -> tuple[Any, ...]:
-    """What a function was called with; arrays of a spectrum one after the other are one input: `bands(w, r)`."""
-    arrays = next(iter(signature.parameters)) == "spectra" and len(args) in (2, 3)
+    """What a function was called with; arrays of a spectrum or cube one after the other are one input."""
+    first = next(iter(signature.parameters))
+    if first == "cube" and is_cube(args[:2]):
+        return args[:2], *args[2:]
+    arrays = first == "spectra" and len(args) in (2, 3)
     return (args,) if arrays and not isinstance(args[1], kind | None) else args
 
 

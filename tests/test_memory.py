@@ -10,6 +10,7 @@ import re
 import subprocess
 import sys
 import tomllib
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +26,7 @@ from astropy.table import QTable
 import lunarsci
 from lunarsci.errors import DataError, LunarSciWarning, ParameterError, RequestError
 from lunarsci.io.inputs import read_input
-from lunarsci.memory import as_named, content_of, on_disk, toml_text
+from lunarsci.memory import as_named, content_of, named_within, on_disk, toml_text
 from lunarsci.options import in_python
 from lunarsci.regolith.soil import read_soil
 from lunarsci.result import Result
@@ -78,8 +79,10 @@ def test_a_path_is_planned_on_an_array_and_driven() -> None:
     ]
     ends = [drive.to_dict()["endpoint"]["x_m"] for drive in drives]
     assert ends == pytest.approx([2.0] * 3, abs=0.3) and np.ptp(ends) < 1e-6
-    for text in (drives[0].to_json(), str(drives[0]), repr(drives[0])):
+    texts = [drives[0].to_json(), str(drives[0]), repr(drives[0])]
+    for text in (*texts, str(drives[0].to_dict()), str(drives[0].made_from), str(drives[0].asked)):
         assert "/lunarsci-" not in text
+    assert "plan.toml" in drives[0].made_from.inputs
     assert "twin-terrain/plan.toml" not in str(drives[0]) and '"plan.toml"' in drives[0].to_json()
     with pytest.raises(ParameterError, match="`plan`: the result has not one plan") as caught:
         lunarsci.predict(SimpleSurvey())
@@ -226,6 +229,60 @@ def test_spectra_in_rows_keep_the_names_of_the_index() -> None:
     assert lunarsci.bands(frame).to_pandas()["id"].tolist() == ["a", "b"]
 
 
+SERIES = pd.Series(ROCK, name="rock1")
+INDEXED = pd.Series(ROCK, index=WAVELENGTH)
+
+
+@pytest.mark.parametrize(("given", "names"), [
+    ((WAVELENGTH, pd.DataFrame({"a": ROCK, "b": 1.1 * ROCK})), ["a", "b"]),
+    ((WAVELENGTH, pd.DataFrame([ROCK, 1.1 * ROCK], index=["c", "d"])), ["c", "d"]),
+    ((WAVELENGTH, SERIES), ["rock1"]),
+    (([(WAVELENGTH, SERIES), (WAVELENGTH, SERIES.rename("q")), (WAVELENGTH, SERIES)],), ["rock1", "q", "spectrum 3"]),
+    ((WAVELENGTH, SERIES.rename("reflectance")), ["spectrum 1"]),
+    ((INDEXED,), ["spectrum 1"]),
+    ((INDEXED.set_axis(WAVELENGTH.astype(int)).rename("s")[::-1],), ["s"]),
+    ((INDEXED.to_frame("t"),), ["t"]),
+])  # fmt: skip
+def test_spectra_of_pandas_have_their_names_and_wavelengths_in_nm(given: Any, names: list[str]) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = lunarsci.bands(*given)
+    assert found.to_pandas()["id"].tolist() == names and found[0]["bc1000_nm"] == pytest.approx(950, abs=3)
+    assert len(found.made_from.inputs) >= (1 if len(given) == 1 and not isinstance(given[0], list) else len(names))
+
+
+def test_many_columns_by_wavelength_warn_of_nothing() -> None:
+    frame = pd.DataFrame(index=pd.Index(WAVELENGTH, name="wavelength_nm"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", pd.errors.PerformanceWarning)
+        for k in range(120):
+            frame[f"s{k}"] = ROCK
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(lunarsci.bands(frame)) == 120
+
+
+def test_the_spectra_of_a_cube_are_two_arrays_and_no_other_form_is_named() -> None:
+    assert lunarsci.map_cube(WAVELENGTH, CUBE, products="bands") == lunarsci.map_cube(
+        (WAVELENGTH, CUBE), products="bands"
+    )
+    with pytest.raises(ParameterError, match=r"or \(wavelength_nm, reflectance of three dimensions\)"):
+        lunarsci.map_cube(CUBE)
+
+
+def test_options_of_a_match_are_numbers_as_python_has_them() -> None:
+    found, text = (
+        lunarsci.match(modes=one) for one in ({"ol": (0.25, 0.05), "opx": (0.5, 0.1)}, "ol=0.25:0.05,opx=0.5:0.1")
+    )
+    assert found == text
+    sites = [lunarsci.match(modes="ol=0.25:0.05,opx=0.5:0.1", site=one) for one in ((-45.4, 177.5), "-45.4,177.5")]
+    assert sites[0] == sites[1]
+    with pytest.raises(lunarsci.errors.LunarSciError, match=r"`request` is of str, .* several inputs in a list"):
+        lunarsci.match(found, "rock")
+    with pytest.raises(ParameterError, match=r"Matches is no grid; to_pandas\(\) has its table$"):
+        found.to_xarray()
+
+
 def test_swapped_arrays_are_read_as_they_are_meant() -> None:
     with pytest.warns(LunarSciWarning, match=r"read as \(reflectance, wavelength\)"):
         found = lunarsci.bands((np.round(ROCK, 3), WAVELENGTH))
@@ -245,8 +302,19 @@ def test_results_have_rows_by_name_and_compare_by_what_they_say() -> None:
         found[7]
     assert found == pickle.loads(pickle.dumps(found)) == copy.deepcopy(found) == lunarsci.bands(lab)
     assert found != lunarsci.bands(1.01 * lab) and len({found, copy.deepcopy(found)}) == 1
-    with pytest.raises(DataError, match=r"predicted\.toml: no prediction\.json in it"):
+    with pytest.raises(DataError, match=r"predicted\.toml: no folder; give .* the result of `predict`"):
         lunarsci.compare({"bc1000_nm": 3}, STATES)
+
+
+def test_a_pickled_result_has_its_text_in_another_process() -> None:
+    drives = lunarsci.predict(PLAN, terrain=(X, Y, Z), members=1, soil="priors")
+    code = "import pickle, sys; print(pickle.load(sys.stdin.buffer).to_text())"
+    done = subprocess.run([sys.executable, "-c", code], input=pickle.dumps(drives), capture_output=True, check=True)
+    assert "\ntilt_deg " in done.stdout.decode() and "/lunarsci-" not in done.stdout.decode()
+    earlier = "drives of /tmp/lunarsci-slla84jr/tmp36n04av1/twin-predict on /a b/lunarsci-demo/rock.ecsv"
+    alike = {f"/tmp/lunarsci-slla84jr/tmp36n04av{k}/terrain/terrain.npz": k for k in range(3)}
+    assert named_within(alike) == {"terrain.npz": 0, "terrain/terrain.npz": 1, "terrain.npz 2": 2}
+    assert as_named(earlier) == "drives of twin-predict on /a b/lunarsci-demo/rock.ecsv"
 
 
 def test_a_figure_shows_itself_and_many_rows_are_cut() -> None:

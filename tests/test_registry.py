@@ -141,6 +141,7 @@ def stub() -> str:
         f"from {module} import {name} as {name}"
         for name, module in sorted({**places, **lunarsci._ELSEWHERE}.items(), key=lambda one: one[1])
     ]
+    lines.insert(0, "from lunarsci import errors as errors")
     return "\n".join([*lines, "", "JOBS: dict[str, tuple[str, ...]]", "__version__: str", ""])
 
 

@@ -378,6 +378,7 @@ def test_columns_of_shares_have_a_unit_and_a_meaning() -> None:
         "olivine_in_mafic_high95": 0.5,
         "fo_mean": 70.0,
         "rms_ln": 0.1,
+        "probability_of_plagioclase": 0.034,
     }
 
     @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -394,6 +395,7 @@ def test_columns_of_shares_have_a_unit_and_a_meaning() -> None:
         assert told[name][0] == units.dimensionless_unscaled and "fraction of 1" in told[name][1]
     assert told["fo_mean"] == (units.percent, "composition of the mineral in mol %")
     assert told["olivine_present"] == (units.dimensionless_unscaled, "probability of more than 5 % of the mineral")
+    assert "the fit needs it; whether it is there, `unmix`" in told["probability_of_plagioclase"][1]
     assert told["rms_ln"][1] is None
     assert table["olivine"][0] == 0.3
 

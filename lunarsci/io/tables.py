@@ -55,7 +55,15 @@ def read_csv_table(source: InputFile | str | Path) -> "pd.DataFrame":
 
     Raises DataError for a file that cannot be read, rows of another length than the header, and equal column names.
     """
-    return _csv_cells(as_csv(source if isinstance(source, InputFile) else read_input(str(source))), dtype=str)
+    file = source if isinstance(source, InputFile) else read_input(str(source))
+    if _is_document(file.data):
+        raise DataError(f"{file.name}: is JSON, no table; give the table itself, as -o DIR or --csv writes it")
+    return _csv_cells(as_csv(file), dtype=str)
+
+
+def _is_document(data: bytes) -> bool:
+    """Whether a file is JSON by its first sign, as no table is."""
+    return data[:64].lstrip().startswith(b"{")
 
 
 def as_csv(file: InputFile) -> InputFile:

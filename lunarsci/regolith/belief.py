@@ -11,11 +11,11 @@ well.
 
 import dataclasses
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -28,7 +28,8 @@ from lunarsci.regolith.physics_discrepancy import FIRST, PhysicsDiscrepancy
 from lunarsci.regolith.prior import NINETY_FIVE, PARAMETERS, ROLLING, Law, default_prior, rolling_prior, values_of
 from lunarsci.regolith.wheel import Wheel
 
-SCHEMA = "lunarsci/soil-belief/1"
+FORM = "soil-belief/1"
+SCHEMA = f"lunarsci/{FORM}"
 """Of the file of a belief; other versions are refused."""
 OF_STATES = "lunarsci/regolith-identify/"
 """How the schema of results of wheel states begins."""
@@ -158,6 +159,7 @@ class SoilBelief:
     Raises ParameterError for a covariance that is not symmetric and positive definite.
     """
 
+    schema: ClassVar[str] = FORM
     laws: Mapping[str, Law]
     mean: FloatArray
     covariance: FloatArray
@@ -316,6 +318,10 @@ class SoilBelief:
         mean = self.mean - share * off
         return SoilBelief(self.laws, mean, covariance, self.history, verdict=self.verdict, discrepancy=discrepancy)
 
+    def as_input(self, role: str) -> dict[str, Callable[[], bytes]]:
+        """The file of an input of that name, as a result has it."""
+        return {"belief.json": lambda: self.to_json().encode()}
+
     def to_json(self) -> str:
         """As `read_belief` reads it."""
         document = {
@@ -370,7 +376,9 @@ def belief_of(document: Mapping[str, Any]) -> SoilBelief:
     if schema.startswith(OF_STATES):
         with named("", ParameterError):
             return _belief_of_result(document)
-    refuse({f"not a soil belief; its schema must be {SCHEMA}": schema != SCHEMA})
+    after = "the record of `twin update`, which leaves out how parameters hang together; give the belief.json of --save"
+    refuse({after: schema.startswith("lunarsci/twin-update/")})
+    refuse({f"not a soil belief; its schema must be {SCHEMA}, as --save of `twin update` writes it": schema != SCHEMA})
     with named("", ParameterError):
         laws = {name: Law(**document["laws"][name]) for name in document["order"]}
         mean, covariance = (np.array(document[key], dtype=np.float64) for key in ("mean", "covariance"))

@@ -326,6 +326,10 @@ class Product(ABC):
         """What to cite."""
         return ()
 
+    def lacking(self, wavelength_nm: FloatArray) -> str:
+        """Why no spectrum of these channels (c,) [nm] has a value; '' where one may."""
+        return ""
+
     @abstractmethod
     def measure(self, wavelength_nm: FloatArray, reflectance: FloatArray, places: IntArray) -> Mapping[str, Any]:
         """Each layer, (n,), of spectra (n, c) with NaN in channels that cannot be used.

@@ -91,7 +91,7 @@ class CubeMap(Result):
         counts = {name: {code: n for code, n in self.codes[name].items() if n} for name in product.reasons}
         reasons = [f"{name} {code} in {n} of {self.counts['pixels']} pixels" for name, codes in counts.items()
                    for code, n in codes.items()]  # fmt: skip
-        why = some_of(reasons, MOST_REASONS)
+        why = product.lacking(self.made.cube.wavelength_nm) or some_of(reasons, MOST_REASONS)
         return "; ".join(filter(None, (f"no pixel has a value of {product.name}", why, product.instead)))
 
     def to_dict(self) -> dict[str, Any]:

@@ -212,6 +212,16 @@ class FitProduct(Product):
     def sources(self) -> Sequence[str]:
         return (MGM, NBSR)
 
+    def lacking(self, wavelength_nm: FloatArray) -> str:
+        """Why these channels are too few to fit, whatever a pixel has in them; '' where they are enough."""
+        from lunarsci.spectra.mgm.data import fitted_channels
+
+        try:
+            fitted_channels(wavelength_nm)
+        except DataError as error:
+            return str(error)
+        return ""
+
     def measure(self, wavelength_nm: FloatArray, reflectance: FloatArray, places: Any) -> Mapping[str, Any]:
         """Each layer of spectra."""
         model = model_of(self.assemblage, self.continuum)

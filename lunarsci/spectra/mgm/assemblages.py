@@ -178,7 +178,7 @@ def others_of(mineral: str) -> set[str]:
 
 
 def chances(probabilities: Mapping[str, float]) -> dict[str, float]:
-    """Probability that each mineral is there, and one at least of each group, of the probabilities of assemblages.
+    """Probability that a fit needs each mineral, and one at least of each group, of the probabilities of assemblages.
 
     >>> chances({"OPX": 0.5, "OL-CPX": 0.25, "CPX": 0.25})["pyroxene"]
     1.0

@@ -139,13 +139,8 @@ def prepare_rows(
     DataError with fewer than 40 channels, or, without `whole`, where they do not reach over 800-1300 nm, or leave more
     than 100 nm out there.
     """
-    keep = _inside(wavelength_nm, whole)
+    keep = fitted_channels(wavelength_nm, whole=whole)
     nm = wavelength_nm[keep]
-    if nm.size < MIN_CHANNELS:
-        between = "" if whole else " between {:g} and {:g} nm".format(*FIT_RANGE_NM)
-        raise DataError(f"{nm.size} usable channels{between}; {MIN_CHANNELS} are needed")
-    if not whole:
-        _check_reach(nm)
     noise = scatter_noise_rows(reflectance) if sigma is None else sigma
     fitted = np.ascontiguousarray(reflectance[:, keep])
     error = (
@@ -154,6 +149,21 @@ def prepare_rows(
     weight = 1 / ((noise[:, keep] / fitted) ** 2 + error[:, None] ** 2)
     shared = np.empty((len(fitted), 0, nm.size)) if shifts is None else shifts[:, :, keep] / fitted[:, None]
     return MgmRows(nm, fitted, weight, shared, error)
+
+
+def fitted_channels(wavelength_nm: FloatArray, *, whole: bool = False) -> BoolArray:
+    """Which usable channels (c,) [nm] are fitted: those within 400-2600 nm, or all of the `whole`. (c,)
+
+    Raises DataError as `prepare_rows`.
+    """
+    keep = _inside(wavelength_nm, whole)
+    nm = wavelength_nm[keep]
+    if nm.size < MIN_CHANNELS:
+        between = "" if whole else " between {:g} and {:g} nm".format(*FIT_RANGE_NM)
+        raise DataError(f"{nm.size} usable channels{between}; {MIN_CHANNELS} are needed")
+    if not whole:
+        _check_reach(nm)
+    return keep
 
 
 def _check_reach(wavelength_nm: FloatArray) -> None:

@@ -19,7 +19,7 @@ from lunarsci.names import meant, some_of
 from lunarsci.provenance import sha256
 from lunarsci.spectra.collection import SpectrumCollection, SpectrumRows, averaged
 from lunarsci.spectra.readers.arrangements import header_channels
-from lunarsci.spectra.readers.columns import is_wavelength
+from lunarsci.spectra.readers.columns import is_plain, is_wavelength
 from lunarsci.spectra.readers.dispatch import read_spectra, spectra_of
 from lunarsci.spectra.readers.envi import without_headers
 from lunarsci.spectra.readers.libraries import without_wavelength_files
@@ -152,7 +152,8 @@ def _those(batch: SpectraBatch, only: Sequence[str]) -> SpectraBatch:
 
 def _listed(source: Any) -> list[Any]:
     """The inputs one by one; two or three arrays or lists in a tuple are one input."""
-    if isinstance(source, tuple) and len(source) in (2, 3) and not any(_is_input(item) for item in source):
+    several = isinstance(source, tuple) and len(source) in (2, 3) and not _is_input(source[0])
+    if several and not any(_is_input(item) and not hasattr(item, "to_numpy") for item in source):
         return [source]
     return list(source) if isinstance(source, list | tuple | SpectrumRows | SpectrumCollection) else [source]
 
@@ -163,7 +164,13 @@ def _is_input(item: Any) -> bool:
 
 
 def _as_arrays(item: Any) -> Any:
-    """A spectrum of specutils, or an array of xarray with a coordinate of wavelengths, as arrays; others unchanged."""
+    """A spectrum of specutils, a Series by wavelength, columns of pandas beside wavelengths, or an array of xarray with
+    a coordinate of wavelengths, as arrays with names; others unchanged.
+    """
+    if hasattr(item, "to_frame") and hasattr(item, "index") and _has_wavelengths(item.index):
+        item = (item.index.to_numpy(), item)
+    if isinstance(item, tuple) and len(item) in (2, 3):
+        return _named_arrays(item)
     if hasattr(item, "spectral_axis") and hasattr(item, "flux"):
         error = getattr(item, "uncertainty", None)
         return (item.spectral_axis, item.flux) if error is None else (item.spectral_axis, item.flux, _sd(error))
@@ -183,6 +190,28 @@ def _as_arrays(item: Any) -> Any:
     labels = [item[name].values if name in item.coords else range(item.sizes[name]) for name in others]
     values = np.asarray(item.transpose(..., axis).values, float)
     return SpectraByPlace((in_nm, values.reshape(-1, wavelength.size)), _places(list(map(str, others)), labels))
+
+
+def _has_wavelengths(index: Any) -> bool:
+    """Whether the index of a Series is its wavelengths, though it has no name: numbers above 0 in order."""
+    values = index.to_numpy()
+    if index.name is not None or values.dtype.kind not in "iuf" or len(values) < 2 or not values.min() > 0:
+        return False
+    steps = np.diff(values)
+    return bool((steps > 0).all() or (steps < 0).all())
+
+
+def _named_arrays(given: tuple[Any, ...]) -> Any:
+    """Wavelengths and columns of pandas as arrays with the names of these; others unchanged."""
+    values = [part.to_numpy() if hasattr(part, "to_numpy") else part for part in given]
+    if hasattr(given[1], "columns"):
+        down = len(given[1]) == np.size(_plain_values(given[0]))
+        frames = [one.T if down and np.ndim(one) == 2 else one for one in values[1:]]
+        return SpectraByPlace((values[0], *frames), [*map(str, given[1].columns if down else given[1].index)])
+    name = getattr(given[1], "name", None)
+    if not isinstance(name, str) or np.ndim(_plain_values(given[1])) != 1 or is_plain(name):
+        return given
+    return SpectraByPlace(given, [name])
 
 
 def _places(axes: Sequence[str], labels: Sequence[Any]) -> list[str]:
@@ -220,9 +249,9 @@ def _sd(error: Any) -> Any:
 
 def _from_file(batch: SpectraBatch, item: Any, wavelength_unit: Any, reflectance_unit: Any) -> Iterator[SpectrumRows]:
     """The spectra of a file, or none, and why."""
-    name = item if isinstance(item, str) else getattr(item, "name", "<table>")
+    name = item if isinstance(item, str) else str(getattr(item, "name", None) or "<table>")
     try:
-        source = read_input(_with_wavelengths(item))
+        source = read_input(_with_wavelengths(item, wavelength_unit))
         result = read_spectra(source, wavelength_unit=wavelength_unit, reflectance_unit=reflectance_unit)
         notes = unlikely(result, source.name)
     except LunarSciError as error:
@@ -254,19 +283,22 @@ def _averaged(batch: SpectraBatch, rows: SpectrumRows, name: str) -> SpectrumRow
     return result
 
 
-def _with_wavelengths(item: Any) -> Any:
-    """A table of pandas whose index holds the wavelengths has them as its first column."""
+def _with_wavelengths(item: Any, unit: WavelengthUnit | None = None) -> Any:
+    """A table of pandas whose index holds the wavelengths has them as its first column; in nm as arrays are."""
     if not hasattr(item, "to_csv"):
         return item
     item = item.to_frame() if hasattr(item, "to_frame") else item
     if item.index.dtype.kind not in "iuf" and header_channels([*map(str, item.columns)]):
-        return item.rename_axis(index="id").reset_index()
+        return item.copy().rename_axis(index="id").reset_index()
     if any(map(is_wavelength, map(str, item.columns))):
         return item
     name = "" if item.index.name is None else str(item.index.name)
     values = item.index.to_numpy()
     unnamed = not name and values.dtype.kind == "f" and len(values) > 1 and bool((np.diff(values) > 0).all())
-    return item.rename_axis(index=name or "wavelength").reset_index() if unnamed or is_wavelength(name) else item
+    if not (unnamed or is_wavelength(name)):
+        return item
+    name = name or ("wavelength" if unit or _are_um(values) else "wavelength_nm")
+    return item.copy().rename_axis(index=name).reset_index()  # a copy is in one piece
 
 
 def _from_memory(
@@ -274,6 +306,8 @@ def _from_memory(
 ) -> Iterator[SpectrumRows]:
     """The spectra of one item that is no file, into `batch` as well; a failure there where they cannot be used."""
     before, notes = len(batch.origins) + len(batch.failures), list[str]()
+    if isinstance(item, SpectraByPlace) and any(f"<{one}>" in batch.inputs for one in item.ids):
+        item = item.arrays  # of which spectra are numbered
     name = f"spectrum {before + 1}"
     try:
         if isinstance(item, Spectrum):
@@ -353,12 +387,16 @@ def _wavelengths(name: str, given: Any) -> Any:
 
 def _by_range(name: str, values: FloatArray) -> WavelengthUnit:
     """The unit of wavelengths by their values, as in a file without one; nm where these tell nothing."""
-    low, high = SURELY["um"]
-    if not (values.size and low <= values.min() and values.max() <= high):
+    if not _are_um(values):
         return "nm"
     notes = f"<{name}>: wavelengths {values.min():g}-{values.max():g} read as µm"
     warn(f"{notes}; give nm, or wavelength_unit='um'")
     return "um"
+
+
+def _are_um(values: FloatArray) -> bool:
+    low, high = SURELY["um"]
+    return bool(values.size and low <= values.min() and values.max() <= high)
 
 
 def _mask(given: Any) -> Any:

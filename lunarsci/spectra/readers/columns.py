@@ -352,7 +352,7 @@ def _sigmas(names: Sequence[str], places: Sequence[int], errors: Collection[int]
         return pairs
     taken = {*pairs, *pairs.values(), *bare}
     alone = [k for k in places if k not in taken]
-    plainly = alone if len(alone) == 1 else [k for k in alone if names[k] and _is_plain(without_unit(names[k]))]
+    plainly = alone if len(alone) == 1 else [k for k in alone if names[k] and is_plain(without_unit(names[k]))]
     for k in bare:
         before = k - 1 if k - 1 in alone and len(bare) > 1 else None
         _pair(pairs, plainly[0] if len(plainly) == 1 and before is None else before, k, names, file)
@@ -407,7 +407,7 @@ def only_spectra(table: SpectrumTable, deleted: IntArray) -> tuple[SpectrumTable
     running = (np.diff(values, axis=1) == 1.0).all(axis=1) & (values.shape[1] > 2)
     large = low > MAX_FRACTION
     plain = large.any() and any(
-        top <= MAX_FRACTION and one.name and _is_plain(one.name)
+        top <= MAX_FRACTION and one.name and is_plain(one.name)
         for top, (one, _) in zip(high.tolist(), table.spectra, strict=True)
     )
     constant = unnamed & (large & ((low == high) | plain) | running)
@@ -444,13 +444,13 @@ def spectrum_ids(columns: Sequence[Column], source: InputFile) -> list[str]:
     """
     if len(columns) == 1:
         name = without_unit(columns[0].name)
-        return [source.stem if _is_plain(name) or quantity_of(name) else name]
+        return [source.stem if is_plain(name) or quantity_of(name) else name]
     ids = [without_unit(c.name) if c.name else f"{source.stem}:column-{c.position}" for c in columns]
     _check_unique(ids, source.name)
     return ids
 
 
-def _is_plain(name: str) -> bool:
+def is_plain(name: str) -> bool:
     """Whether a name says nothing but 'reflectance', units and remarks in brackets apart."""
     bare = re.sub(r"[(\[{].*", "", name).strip().casefold()
     return not bare or bare in _PLAIN or "".join(name_tokens(bare)) in _PLAIN or only_percent(f"{bare} %")

@@ -165,7 +165,9 @@ def read_forecast(folder: str | Path) -> tuple[Forecast, dict[str, str]]:
 
     place = Path(folder)
     if not (place / FILE).is_file():
-        raise DataError(f"{folder}: no {FILE} in it; name a folder of `lunarsci twin predict -o`")
+        lacking = "no folder" if place.is_file() else f"no {FILE} in it"
+        give = "give the folder of `lunarsci twin predict -o`, or in Python the result of `predict`, which pickle keeps"
+        raise DataError(f"{folder}: {lacking}; {give}")
     source = read_input(str(place / FILE))
     document = _document(source)
     files = {name: _table_file(place, name, document) for name in TABLES}

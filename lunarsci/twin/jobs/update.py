@@ -200,9 +200,12 @@ class LearnedSoil(Result):
         """One a parameter."""
         return [{"parameter": name} | row for name, row in parameter_rows(self.belief).items()]
 
+    def files(self) -> dict[str, Callable[[], bytes]]:
+        """The belief after the drive, which `predict` takes as its `soil`: name to what makes the content."""
+        return {"belief.json": lambda: self.belief.to_json().encode()}
+
     def as_input(self, role: str) -> dict[str, Callable[[], bytes]]:
-        beliefs = {"belief.json": lambda: self.belief.to_json().encode()}
-        return beliefs if role in ("soil", "belief", "result") else {}
+        return self.files() if role in ("soil", "belief", "result") else {}
 
     def figures(self) -> "Iterator[Figure]":
         from lunarsci.regolith.figure import belief_figure

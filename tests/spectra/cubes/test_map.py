@@ -261,6 +261,14 @@ def test_a_cube_in_memory_keeps_its_places_and_may_have_its_channels_first() -> 
         map_cube((WAVELENGTHS[:4], CUBE))
 
 
+def test_a_map_with_too_few_channels_for_a_fit_says_so_as_the_fit_of_a_spectrum_does() -> None:
+    few = WAVELENGTHS[::3], CUBE[..., ::3]
+    with pytest.raises(DataError, match="; 40 are needed") as caught:
+        fit((few[0], few[1][0, 0]))
+    reason = str(caught.value).partition("no result: ")[2]
+    assert map_cube(few, products="fit").untrusted == f"not to be trusted: no pixel has a value of fit; {reason}"
+
+
 def test_a_map_of_soil_alone_says_why_it_has_no_shares_and_one_of_rock_has_all_four(envi: Any, tmp_path: Path) -> None:
     how: dict[str, Any] = {"path": tmp_path / "map.nc", "products": "indices,unmix", "every": 2, "force": True}
     soil = map_cube(str(envi(CUBE)), kind="weathered-soil", **how)

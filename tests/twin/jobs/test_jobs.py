@@ -32,6 +32,17 @@ def test_results_go_where_their_files_go(files: Path) -> None:
     assert "Soil after states.csv: " in str(of_result) and "<b>Soil after states.csv: " in of_result._repr_html_()
     predicted = lunarsci.predict(files / "plan.toml", soil=of_result, members=16)
     assert predicted.prediction.members == 16
+    (files / "belief.json").write_bytes(of_result.files()["belief.json"]())
+    for soil in (files / "belief.json", of_result.belief):
+        assert lunarsci.predict(files / "plan.toml", soil=soil, members=16).verdict == predicted.verdict
+    (files / "soil.json").write_text(of_result.to_json(), "utf-8")
+    with pytest.raises(DataError, match=r"the record of `twin update`.*give the belief\.json of files\(\)"):
+        lunarsci.predict(files / "plan.toml", soil=files / "soil.json")
+    (files / "pred.json").write_text(predicted.to_json(), "utf-8")
+    with pytest.raises(DataError, match=r"pred\.json: no folder; give .* in Python the result of `predict`"):
+        lunarsci.compare(files / "pred.json", states)
+    with pytest.raises(DataError, match=r"pred\.json: is JSON, no table; give the table itself, as files\(\)"):
+        lunarsci.compare(predicted, files / "pred.json")
     assert "1 drive" in predicted.inputs.soil_notes(16, 0)[0]
     with pytest.raises(DataError, match=r"has learned from .*states\.csv already"):
         lunarsci.update(states, soil=of_result, particles=32)
