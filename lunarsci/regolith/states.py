@@ -530,9 +530,12 @@ def _doubt_of_sinkage(sinkage_m: FloatArray) -> str:
 
 
 def _possible(file: str, values: FloatArray, rows: IndexArray, wheel: Wheel) -> BoolArray:
-    """Rows that a wheel can have; others are left out with a warning. Raises DataError where most are others. (n,)"""
+    """Rows that a wheel can have; others are left out with a warning. (n,)
+
+    Raises DataError where most are others, or wheels float: then the zero of the sinkage is wrong in all rows.
+    """
     bad, text = impossible(file, values, rows, wheel, REQUIRED)
-    if 2 * bad.sum() > bad.size:
+    if 2 * bad.sum() > bad.size or (values[:, 0] < LEAST_SINKAGE_M).any():
         raise DataError(text)
     if bad.any():
         first = text.partition(";")[0]

@@ -114,7 +114,7 @@ def test_output_goes_to_a_file_and_never_over_one(run, command: list[str], tmp_p
     assert (done.code, done.out) == (0, "")
     assert done.err[0] == f"written: {target}"
     # And what it says, for those who wait for the answer, and whether it is trusted.
-    assert len(done.err) == 3 and done.err[2].startswith(("The command found nothing", "Composition decides"))
+    assert len(done.err) == 3 and done.err[2].startswith(("No check speaks against", "Composition decides"))
     if command[1] in ("bands", "fit"):
         assert done.err[1].startswith("synthetic_rock: ")
     assert len(run(*command, "-o", target, "--force", "-q").err) == 0
