@@ -57,7 +57,7 @@ def read_csv_table(source: InputFile | str | Path) -> "pd.DataFrame":
     """
     file = source if isinstance(source, InputFile) else read_input(str(source))
     if _is_document(file.data):
-        raise DataError(f"{file.name}: is JSON, no table; give the table itself, as -o DIR or --csv writes it")
+        raise DataError(f"{file.name}: is JSON, no table; give the table itself, as -o DIR writes it")
     return _csv_cells(as_csv(file), dtype=str)
 
 
