@@ -133,10 +133,11 @@ def test_rover_prior_and_posterior_stay_in_memory() -> None:
     assert "soil: of each drive a row of soil.csv" in text
     text = " ".join(str(lunarsci.predict(PLAN, soil=soils[0], members=2)).split())
     assert (
-        "states of 'rig; wheels 157.35 x 165 mm' at 9.81 m/s², and this is 'yutu2; wheels 150 x 150 mm' at 1.62" in text
+        "for the wheel 'rig; wheels 157.35 x 165 mm', and this is 'yutu2; wheels 150 x 150 mm'; for a gravity of 9.81"
+        in text
     )
     same = lunarsci.infer(STATES, rover="yutu2", law="given")
-    assert "was inferred from states" not in str(lunarsci.predict(PLAN, soil=same, members=2))
+    assert "was inferred for" not in str(lunarsci.predict(PLAN, soil=same, members=2))
     with pytest.raises(DataError, match="no column drawbar_pull_n; there are: load_N"):
         lunarsci.infer(STATES.drop(columns="pull_N"), rover=WHEEL)
     with pytest.raises(RequestError, match=r"`soil` is .* give one text or input, or several in a list"):

@@ -207,7 +207,8 @@ def test_a_new_command_is_known_everywhere(newcomer: Path, capsys: pytest.Captur
     assert "lunarsci images relief" in info(newcomer).commands
     notebook = in_python("images relief ground.csv --above 0.1 --json")
     assert notebook.to_dict() == document["result"] and notebook.plot().axes
-    assert f"{notebook}\n" == printed("images", "relief", "ground.csv", "--above", "0.1")
+    shown = printed("images", "relief", "ground.csv", "--above", "0.1")
+    assert f"{notebook.to_text()}\n" == shown and str(notebook).startswith("Heights range over 0.65 m.")
     assert "above : Heights" in (lunarsci.relief.__doc__ or "")
     declared = {name: readers_of(name, metavar) for name, metavar in path_parameters() if "images relief " in name}
     assert None not in declared.values() and "terrain .csv" in (declared["images relief ground"] or ())

@@ -555,12 +555,12 @@ def impossible(
         (np.abs(values[:, 2]) <= 90, "within -90 to 90 deg"),
         (values[:, 3] > 0, "above 0 N"),
     )
-    every, said = np.zeros(len(values), dtype=bool), ""
+    every, first_text = np.zeros(len(values), dtype=bool), ""
     for k, (good, rule) in enumerate(rules):
         bad = ~good & (np.isfinite(values[:, k]) | (COLUMNS[k] in required))
-        if bad.any() and not said:
+        if bad.any() and not first_text:
             first = int(np.argmax(bad))
             text = f"{values[first, k]:g} is impossible; it must lie {rule}"
-            said = f"{file}, row {rows[first] + 1}, {COLUMNS[k]}: {text}"
+            first_text = f"{file}, row {rows[first] + 1}, {COLUMNS[k]}: {text}"
         every |= bad
-    return every, said
+    return every, first_text
