@@ -102,7 +102,8 @@ class RockList(Result):
         """What the numbers rest on."""
         notes = [
             "looked for on lit ground that both pictures show; in deep shadow and behind crests no rock is seen",
-            "the network that knows rocks was taught on SYNTHETIC scenes and has seen none of the Moon",
+            "the network that knows rocks was taught on SYNTHETIC scenes and has seen none of the Moon: on other bumpy "
+            "ground, that of `images render`, 107 of 121 finds were bumps",
             "completeness is of stones with flat faces that were rendered into these pictures",
         ]
         if self.request.sun is None:

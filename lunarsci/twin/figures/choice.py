@@ -80,7 +80,8 @@ def candidate_map(surface: Traversability, choice: DriveChoice) -> Figure:
     bar.ax.annotate("accepted", (0.0, choice.risk.share), (-3, -3), xycoords=("axes fraction", "data"),
                     textcoords="offset points", ha="right", color=INK)  # fmt: skip
     axes.set_title(wrapped(_choice_headline(choice), 0.8 * PAGE_IN))
-    title = f"{len(choice.candidates)} drives compared on {as_label(terrain.name)}; hatched: hazard"
+    compared = "1 drive" if len(choice.candidates) == 1 else f"{len(choice.candidates)} drives compared"
+    title = f"{compared} on {as_label(terrain.name)}; hatched: hazard"
     headline(figure, title, synthetic=terrain.synthetic)
     legend_below(figure, axes, 5)
     return figure

@@ -406,7 +406,7 @@ class StatesRequest(RoverOnGround):
     start_time : time_s of the start of the plan, by the clock of telemetry and positions, such as seconds since 1970.
         Rows before it are left out. Without it the start is where the commands are those of the plan.
     lag : Time by which positions, headings and attitude are later than the columns of the wheels, because of another
-        clock or of wheels that follow commands late; they are shifted back by it. If left out, it is found from the
+        clock or of wheels that follow commands late; they are shifted back by it. What is left of it is found from the
         drive.
     """
 
