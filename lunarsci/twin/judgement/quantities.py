@@ -255,6 +255,9 @@ def encounters(prediction: Prediction, most: int = 5) -> list[Encounter]:
     nearest = []
     for zone in prediction.plan.exclusion_zones:
         away = np.where(prediction.reached, exclusion_distance(prediction, (zone,)), np.inf)
+        # Drives that ended where they were to begin came near to nothing.
+        if np.isinf(away).all():
+            continue
         member, sample = np.unravel_index(int(away.argmin()), away.shape)
         x, y = prediction.places_m[member, sample]
         rows = (zone.name, zone.x_m, zone.y_m, zone.radius_m, float(away[member, sample]))

@@ -7,6 +7,8 @@ import pytest
 from lunarsci.cli.twin.predict import _limit_row
 
 from lunarsci.pages.drive_answers import predicted
+from lunarsci.twin.ground.hazards import ExclusionZone
+from lunarsci.twin.judgement.quantities import encounters
 from lunarsci.twin.judgement.safety import judge, validity
 from lunarsci.twin.judgement.tables import check_loads, load_notes
 from lunarsci.twin.lanes import HOLE, LEFT
@@ -45,6 +47,14 @@ def test_the_sign_of_the_largest_slip_is_said_where_it_is_that_of_a_braking_whee
         states[2, 3, 0, SLIP] = slip
         notes = judge(dataclasses.replace(driven, states=states)).notes
         assert sum(note.startswith("limits count the size of slip_ratio; the largest, -0.4,") for note in notes) == said
+
+
+def test_drives_that_never_began_come_near_to_no_circle(driven: Prediction) -> None:
+    circle = ExclusionZone(name="rock", x_m=5.0, y_m=0.0, radius_m=0.2)
+    plan = dataclasses.replace(driven.plan, exclusion_zones=(circle,))
+    assert [one.name for one in encounters(dataclasses.replace(driven, plan=plan))] == ["rock"]
+    none = dataclasses.replace(driven, plan=plan, recorded=np.zeros_like(driven.recorded))
+    assert encounters(none) == []
 
 
 def test_limits_and_ends_are_said_to_be_of_the_drives_that_arrived(driven: Prediction) -> None:
