@@ -276,7 +276,11 @@ def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
         OUTCOMES[int(k)]: int(n) for k, n in zip(*np.unique(prediction.outcome, return_counts=True), strict=True)
     }
     chance = Chance(int((~keeps_limits(prediction, worst)).sum()), prediction.members)
-    early = [f"{n} of {prediction.members} members: {text}" for text, n in outcomes.items() if text != OUTCOMES[0]]
+    early = [
+        f"{n} of {prediction.members} members: {text}{_at_the_start(prediction, text)}"
+        for text, n in outcomes.items()
+        if text != OUTCOMES[0]
+    ]
     reasons = early if risk is None else _beyond(risk, chance)
     accepted = [] if risk is None else [_within(risk, chance), *early]
     among = arrivals(int(finished.sum()), prediction.members)
@@ -433,6 +437,12 @@ def _worst(prediction: Prediction, judged: tuple[Judgement, ...]) -> Worst:
         tightest = max(judged, key=lambda j: j.used)
         member, why = tightest.worst_member, _nearness(tightest)
     return Worst(member, {name: float(values[member]) for name, values in prediction.parameters.items()}, why)
+
+
+def _at_the_start(prediction: Prediction, outcome: str) -> str:
+    """That drives with this outcome ended where they began, as on a rock; '' where one went on."""
+    ended = prediction.outcome == OUTCOMES.index(outcome)
+    return ", where it starts; start elsewhere" if (prediction.recorded[ended] <= 1).all() else ""
 
 
 def _nearness(judgement: Judgement) -> str:

@@ -49,6 +49,15 @@ def test_the_sign_of_the_largest_slip_is_said_where_it_is_that_of_a_braking_whee
         assert sum(note.startswith("limits count the size of slip_ratio; the largest, -0.4,") for note in notes) == said
 
 
+def test_a_start_that_is_none_is_said(driven: Prediction) -> None:
+    outcome, recorded = driven.outcome.copy(), driven.recorded.copy()
+    outcome[:2], recorded[0] = LEFT, 1
+    went_on = judge(dataclasses.replace(driven, outcome=outcome, recorded=recorded)).reasons[0]
+    recorded[1] = 1
+    began = judge(dataclasses.replace(driven, outcome=outcome, recorded=recorded)).reasons[0]
+    assert not went_on.endswith("start elsewhere") and began.endswith("where it starts; start elsewhere")
+
+
 def test_drives_that_never_began_come_near_to_no_circle(driven: Prediction) -> None:
     circle = ExclusionZone(name="rock", x_m=5.0, y_m=0.0, radius_m=0.2)
     plan = dataclasses.replace(driven.plan, exclusion_zones=(circle,))
