@@ -58,7 +58,7 @@ SETTINGS = {
         "twin/telemetry/checks.py: STOP_COSTS_S", "twin/telemetry/hypotheses.py: MIRRORED",
         "twin/telemetry/smoother.py: MEDIAN_OF_TWO",
         "twin/telemetry/reading.py: STAMP_UNITS",
-        "twin/telemetry/reading.py: DEG", "twin/telemetry/reading.py: UNITS"),
+        "units.py: DEG", "units.py: SIZES", "twin/assimilation/update.py: SLIP_OF_1"),
     "the source stands in each of the entries": (
         "regolith/states.py: PULL_OVER_LOAD, PULLING", "regolith/states.py: SLIPS",
         "constants.py: MARTIAN_GRAVITY", "spectra/indices.py: INDICES"),
