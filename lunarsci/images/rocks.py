@@ -93,7 +93,7 @@ class RockSurvey:
     ----------
     rocks : the likeliest first.
     threshold : least probability of a rock that is listed. [-]
-    false_share : expected share of false ones. [-]
+    false_share : expected share of false ones, by the taught network or by what its ground alone makes here. [-]
     completeness : by diameter and range.
     searched_m2 : area of the ground that was searched. [m2]
     sun_deg : azimuth, from x towards y, and elevation of the Sun, given or found. [deg]
@@ -136,17 +136,33 @@ def find_rocks(
     doubt, threshold = _false_rate(upright.scores, embedded_network().ratio, false_share)
     sure = np.flatnonzero(upright.scores >= threshold)
     chances = 1.0 - doubt(upright.scores[sure])
+    bumps = _bumps(scene, largest_m, upright.only(sure), threshold)
     detected = np.zeros(len(put), dtype=bool)
     detected[chosen >= 0] = again.scores >= threshold
     measures = _Measures.learned(scene, put[chosen >= 0], again)
     return RockSurvey(
         rocks=tuple(measures.rocks(upright.only(sure), chances, pose, matches.rectified.turn)),
         threshold=float(chances.min(initial=1.0)),
-        false_share=float(1.0 - chances.mean()) if len(chances) else 0.0,
+        false_share=max(float(1.0 - chances.mean()), min(bumps / len(sure), 1.0)) if len(sure) else 0.0,
         completeness=tuple(_completeness(scene, put, detected, sizes_m)),
         searched_m2=_area_m2(scene),
         sun_deg=sun_deg,
     )
+
+
+def _bumps(scene: StonePair, largest_m: float, rocks: RockCandidates, threshold: float) -> int:
+    """How many bumps of the ground alone look like rocks: as many as pits do, seen as bumps under a reversed Sun.
+
+    Ground that rises as it falls makes as many of either, and rocks make none away from themselves (competition with
+    decoys: Elias & Gygi 2007, 10.1038/nmeth1019).
+    """
+    upwards = scene.up * (scene.up @ scene.sun)
+    turned = scene._replace(above=-scene.above, sun=2.0 * upwards - scene.sun)
+    decoys = rock_candidates(turned, largest_m)
+    places = decoys.places[decoys.scores >= threshold]
+    apart = np.linalg.norm(places[:, None, :2] - rocks.places[None, :, :2], axis=-1)
+    near = apart <= np.maximum(places[:, None, 2], rocks.places[None, :, 2])
+    return int((~near.any(axis=1)).sum())
 
 
 def _trial(

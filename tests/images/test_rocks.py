@@ -16,9 +16,9 @@ from lunarsci.images.camera import Pose
 from lunarsci.images.jobs.requests import RocksRequest
 from lunarsci.images.jobs.rocks import RockList
 from lunarsci.images.matching import Rectified, StereoMatches
-from lunarsci.images.rock_network import _convolved, embedded_network, levels, rock_candidates, scores
-from lunarsci.images.rocks import RockSurvey, _false_rate, _logistic, _parallax, _scene, find_rocks
-from lunarsci.images.stones import put_stone, spots
+from lunarsci.images.rock_network import RockCandidates, _convolved, embedded_network, levels, rock_candidates, scores
+from lunarsci.images.rocks import RockSurvey, _bumps, _false_rate, _logistic, _parallax, _scene, find_rocks
+from lunarsci.images.stones import StonePair, put_stone, spots
 from lunarsci.io.inputs import read_input
 from lunarsci.result import Doubt
 from lunarsci.twin.ground.missed_rocks import missed_rocks
@@ -191,3 +191,23 @@ def test_what_may_have_been_missed_on_the_way(tmp_path: Path) -> None:
     assert "1 of 2 rocks may be higher than the 9 cm" in text and "0 % to 100 %" in text
     path.write_text(json.dumps({"type": "FeatureCollection", "features": []}))
     assert missed_rocks(read_input(str(path)), way, 1.0, 0.09) is None
+
+
+def test_bumps_of_the_ground_are_counted_by_pits_away_from_rocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of three pits that look like rocks under the reversed Sun one is a rock's own shadow, and one below the level."""
+    image = np.zeros((4, 4), dtype=np.float32)
+    above, up, sun = image + 0.5, np.array([0.0, -1.0, 0.0]), np.array([0.6, -0.8, 0.0])
+    scene = StonePair(image, image, image + 9, above, image > -1, 400.0, (2.0, 2.0), 0.3, up, sun)
+    looked = list[StonePair]()
+
+    def candidates_at(places: list[list[float]], scored: list[float]) -> RockCandidates:
+        return RockCandidates(np.array(places), np.array(scored), *np.zeros((3, len(scored))))
+
+    def candidates(turned: StonePair, largest_m: float) -> RockCandidates:
+        looked.append(turned)
+        return candidates_at([[10.0, 10.0, 5.0], [60.0, 10.0, 5.0], [90.0, 10.0, 5.0]], [6.0, 6.0, 2.0])
+
+    monkeypatch.setattr("lunarsci.images.rocks.rock_candidates", candidates)
+    assert _bumps(scene, 0.3, candidates_at([[12.0, 12.0, 8.0]], [9.0]), 4.0) == 1
+    np.testing.assert_allclose(looked[0].sun, [-0.6, -0.8, 0.0])
+    np.testing.assert_array_equal(looked[0].above, -above)

@@ -18,6 +18,7 @@ SOURCES = [
     "Golombek & Rapp (1997), J. Geophys. Res. 102, 4117, 10.1029/96JE03319: heights of rocks",
     "LeCun et al. (1998), Proc. IEEE 86, 2278, 10.1109/5.726791: networks of this kind",
     "Efron (2008), Stat. Sci. 23, 1, 10.1214/07-STS236: probability of a single find",
+    "Elias & Gygi (2007), Nat. Methods 4, 207, 10.1038/nmeth1019: false finds by competition with decoys",
 ]
 CORNERS = 24
 """Corners of the polygon in the place of the circle about a rock, in GeoJSON."""
