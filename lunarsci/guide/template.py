@@ -268,7 +268,7 @@ def _states(rover: str) -> str:
     from lunarsci.twin.rover import build_rover
 
     drives = build_rover(rover)
-    load = drives.mass_kg * drives.gravity_m_s2 / len(drives.wheels)
+    load = drives.load_n
     texts = {
         "sinkage_m": "depth of the wheel's lowest point below the undisturbed ground. [m]; down is positive",
         "slip_ratio": "1 - v / (r_s ω) where the wheel drives, r_s ω / v - 1 where it skids. [-1 to 1], not %",

@@ -75,7 +75,7 @@ class Rolling:
     @classmethod
     def of(cls, rover: Rover) -> "Rolling":
         """The mean wheel of a rover."""
-        return cls(rover.wheel, rover.mass_kg * rover.gravity_m_s2 / len(rover.wheels))
+        return cls(rover.wheel, rover.load_n)
 
     def surplus_n(self, soil: Soil, slope_deg: float, slip_ratio: float) -> float:
         """Force along a slope, downhill positive, that speeds a wheel up at a slip ratio; 0 in steady rolling. [N]"""

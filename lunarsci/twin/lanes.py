@@ -59,8 +59,7 @@ OUTCOMES = (
     "left the terrain: a wheel passed the edge of the map",
     "hole in the terrain: no height below a wheel",
     f"overturned: the chassis tilted by more than {STEEPEST_DEG:g} deg",
-    "diverged: loads or energy that no drive has, with shorter time steps, too; the wheel model does not hold for this "
-    "soil, speed and ground",
+    "diverged: loads or energy that no drive has; the wheel model does not hold for this soil, speed and ground",
     "did not settle: no static equilibrium at the start pose",
     "sank: a wheel is buried to its axle",
     f"cliff: the ground below or before a wheel is steeper than {STEEPEST_DEG:g} deg",

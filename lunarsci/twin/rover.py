@@ -270,6 +270,11 @@ class Rover:
         return self.body_kg + len(self.wheels) * self.wheel_kg
 
     @property
+    def load_n(self) -> float:
+        """What a wheel carries on level ground, in the mean. [N]"""
+        return self.mass_kg * self.gravity_m_s2 / len(self.wheels)
+
+    @property
     def wheel_positions_m(self) -> FloatArray:
         """Wheel centres with all joints at zero, in the order of `wheels`. (n, 3) [m]"""
         side = np.array([0.0, self.rocker_pivot_y_m, 0.0])
@@ -395,7 +400,7 @@ def rover_questions(rover: Rover) -> list[Question]:
     wheel, asked = rover.wheel, []
     apart = np.linalg.norm(np.diff(rover.wheel_positions_m[::2], axis=0), axis=1).max() / wheel.radius_m
     asked.append(question("axle to axle [wheel radii]", float(apart), AXLE_RADII, LENGTH_UNITS))
-    pressure = rover.mass_kg * rover.gravity_m_s2 / len(rover.wheels) / (wheel.radius_m * wheel.width_m)
+    pressure = rover.load_n / (wheel.radius_m * wheel.width_m)
     asked.append(question("weight over the wheels' radius x width [Pa]", pressure, LOAD_PRESSURE_PA, MASS_UNITS))
     if rover.body is not None:
         level = rover.body.belly_z_m - float(rover.wheel_positions_m[:, 2].min()) + wheel.radius_m

@@ -52,6 +52,7 @@ from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.discrepancy import TURNS, exposed, turn_matrix, way_matrix
 from lunarsci.twin.simulation.ensemble import MOST_BEYOND, Prediction, predict
+from lunarsci.units import DEG
 
 PARTICLES, FEWEST_PARTICLES = 128, 32
 """In the population of an update, by default and at least."""
@@ -77,7 +78,7 @@ SLIGHT = {
 MOST_OF_A_WHEEL = 0.3
 """What single wheels may be off by throughout, of a slip of 1 along or across, of the mean sinkage, or of the load;
 assumed."""
-SLIP_OF_1 = {"slip_ratio": 1.0, "side_slip_deg": math.degrees(1.0)}
+SLIP_OF_1 = {"slip_ratio": 1.0, "side_slip_deg": DEG}
 """By definition: a speed across that is the one along is a side slip of 1 rad, to the first order."""
 LARGE = {name: "normal_force_n" if name.endswith("_n") else name for name in OBSERVED}
 """The quantity whose size errors of each quantity are held against: forces against the load."""

@@ -139,7 +139,7 @@ class DriveInputs:
     @property
     def caution_of_belief(self) -> str:
         """What was warned of when the belief, or the map along the plan, was learned, and other loads; else empty."""
-        belief, load = self.given.belief, mean_load_n(self.rover)
+        belief, load = self.given.belief, self.rover.load_n
         texts = [caution_of(self.given.name, self._belief_along())]
         if belief is not None and (share := round(100 * belief.beyond_loads(load))):
             low, high = belief.loads_n
@@ -350,11 +350,6 @@ def on_gravity(rover: Rover, gravity: str | None) -> Rover:
         return with_gravity(rover, gravity)
 
 
-def mean_load_n(rover: Rover) -> float:
-    """What a wheel carries on level ground, in the mean. [N]"""
-    return rover.mass_kg * rover.gravity_m_s2 / len(rover.wheels)
-
-
 @dataclass(frozen=True, slots=True)
 class Soils:
     """The soils of the members of an ensemble: a sweep, or those of a file, of which some may be drawn; and the seed.
@@ -390,7 +385,7 @@ class Soils:
         ranges = None if sweep is None else _parsed_sweep(sweep)
         soils = cls(inputs, ranges, members, seed)
         if given.belief is not None:
-            belief = given.belief.under(mean_load_n(inputs.rover), seed)
+            belief = given.belief.under(inputs.rover.load_n, seed)
             drawn = belief.draws(members or OF_A_BELIEF, seed)
             soils = replace(soils, samples=drawn, verdict=belief.verdict, discrepancy=belief.discrepancy)
         elif given.soil_map is not None:

@@ -350,8 +350,7 @@ def median_soil(prediction: Prediction) -> Soil:
 
 
 def _traction(rover: Rover, prediction: Prediction) -> Traction | None:
-    load = rover.mass_kg * rover.gravity_m_s2 / len(rover.wheels)
-    wheel = LoadedWheel(wheel=rover.wheel, soil=median_soil(prediction), load_n=load)
+    wheel = LoadedWheel(wheel=rover.wheel, soil=median_soil(prediction), load_n=rover.load_n)
     try:
         return traction(wheel, wheel.over(CURVE))
     except LunarSciError:
