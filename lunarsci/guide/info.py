@@ -8,7 +8,7 @@ import re
 import tomllib
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar, TypeAlias
@@ -336,7 +336,9 @@ def _kind_of_table(name: str, text: str, suffix: str) -> str:
     columns = _cells(name, lines[:1])
     columns += telemetry_named_otherwise(columns)
     columns += states_named_otherwise(columns) or states_named_otherwise(_cells(name, whole[:1]))
-    if "time_s" in columns and any(name.startswith(("angle_", "rate_", "steered_")) for name in columns):
+    if {"time_s", "yaw_deg"} <= {*columns} and any(
+        name.startswith(("angle_", "rate_", "steered_")) for name in columns
+    ):
         return "telemetry"
     if kind := next((kind for kind, keys in CSV_COLUMNS.items() if all(key in columns for key in keys)), None):
         return kind.strip()
@@ -453,10 +455,13 @@ def states_named_otherwise(columns: Sequence[str]) -> list[str]:
 
 
 def telemetry_named_otherwise(columns: Sequence[str]) -> list[str]:
-    """Columns of telemetry and positions that are there by names of ROS, or in other units."""
-    from lunarsci.twin.telemetry.reading import ros_names
+    """Columns of telemetry and positions that are there by other names, such as those of ROS, or in other units."""
+    from lunarsci.twin.telemetry.log_names import names_meant, ros_names
 
     ros = ros_names(list(columns))
+    meant = [one for columns_of in names_meant(columns, ("FL", "FR", "RL", "RR")).values() for one in columns_of]
+    if any(name.startswith(("angle_", "rate_")) for name in meant):
+        ros += [*meant, *columns_by_unit(meant)]
     if not any(name.startswith("angle_") for name in ros):  # places, whichever way the rover looks
         ros = [name for name in ros if name != "yaw_deg"]
     return ros + [name for name in columns_by_unit(list(columns)) if name not in columns]
@@ -686,15 +691,7 @@ def _rows(file: InputFile) -> Mapping[str, Any]:
 
 def _other_table(file: InputFile) -> Mapping[str, Any]:
     """What `_rows` says; a remark where two columns or more tell what it could be meant for."""
-    from lunarsci.twin.telemetry.reading import likely_meaning
-
     columns = [str(name) for name in read_csv_table(file).columns]
-    likely = {name: meant for name in columns if (meant := likely_meaning(name)) and meant != name}
-    if any(meant.startswith("rate_") for meant in likely.values()):
-        wanted = ", ".join(f"{name} -> {meant}" for name, meant in likely.items())
-        text = f"looks like telemetry; `twin states` takes it with these names and units: {wanted}"
-        warnings.warn(text, LunarSciWarning, stacklevel=2)
-        return _rows(file)
     for words, meant in LOOKS_LIKE.items():
         if len(alike := [name for name in columns if re.search(words, name, re.IGNORECASE)]) > 1:
             warnings.warn(f"columns {', '.join(alike[:4])}: {meant}", LunarSciWarning, stacklevel=2)
@@ -715,12 +712,12 @@ def _states(file: InputFile) -> Mapping[str, Any]:
 
 def _telemetry(file: InputFile | InputStream) -> Mapping[str, Any]:
     from lunarsci.twin.rover import build_rover
-    from lunarsci.twin.telemetry.reading import Findings, read_telemetry, ros_names
+    from lunarsci.twin.telemetry.reading import Findings, read_telemetry
 
     names = file.data if isinstance(file, InputFile) else _ends(file)
-    ros = ros_names(names.partition(b"\n")[0].decode("utf-8", "replace").split(","))
-    four = b"FL" in names and b"_ML_" not in names if not ros else "angle_ML_deg" not in ros
-    rover = build_rover("small-four" if four else "yutu2")
+    columns = names.partition(b"\n")[0].decode("utf-8", "replace").split(",")
+    six = b"_ML_" in names or any("_ML_" in name for name in telemetry_named_otherwise(columns))
+    rover = replace(build_rover("yutu2" if six else "small-four"), steered=())
     telemetry = read_telemetry(file, rover, Findings(file.name))
     time = telemetry.time_s
     return {

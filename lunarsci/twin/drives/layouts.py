@@ -22,7 +22,7 @@ from lunarsci.io.tables import check_columns, csv_bytes, numbers_of, read_csv_ta
 from lunarsci.regolith.soil import read_soil
 from lunarsci.twin.ground.terrain import Terrain, build_terrain
 from lunarsci.twin.plans.motion import GAP
-from lunarsci.twin.telemetry.reading import yaw_roll_pitch
+from lunarsci.twin.telemetry.log_names import yaw_roll_pitch
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -28,12 +28,14 @@ from lunarsci.twin.telemetry.nodes import Rows
 from lunarsci.twin.telemetry.reading import (
     LEAST_ROW_M,
     OBEYED,
+    SIGMA_DEG,
     STILL,
     SURE,
     UNDER_WAY,
     Findings,
     Positions,
     Telemetry,
+    between_readings,
     filled,
 )
 from lunarsci.twin.telemetry.wheel_motion import PACE, mean_speed
@@ -129,6 +131,18 @@ def _in_order(telemetry: Telemetry, findings: Findings) -> Telemetry:
     return dataclasses.replace(telemetry, **columns)
 
 
+def with_wheels(telemetry: Telemetry, findings: Findings) -> Telemetry:
+    """Rows about which some wheel has an angle, a rate or a command; without any they would tell of no slip."""
+    wheels = [
+        between_readings(telemetry.time_s, values, held=values is telemetry.speed_m_s)
+        for values in (telemetry.speed_m_s, telemetry.rate_deg_s, telemetry.angle_deg)
+    ]
+    blank = np.asarray(~np.isfinite(wheels).any(axis=(0, 2)))
+    what = "no wheel has an angle, a rate or a command"
+    findings.of_rows("missing readings", what, "rows left out", blank, telemetry.time_s)
+    return subset(telemetry, ~blank) if blank.any() and not blank.all() else telemetry
+
+
 def time_gaps(telemetry: Telemetry, findings: Findings) -> BoolArray:
     """Steps between rows that are gaps: longer than `GAP` times the median, but over rests. (n - 1,)"""
     steps, rested = np.diff(telemetry.time_s), telemetry.rested
@@ -145,7 +159,8 @@ def steering_angles(telemetry: Telemetry, rover: Rover, findings: Findings) -> t
     Readings that hang or jump away from the command are replaced by it and said. Raises DataError for a wheel that has
     none.
     """
-    measured, commanded = telemetry.steered_deg.copy(), telemetry.steering_deg
+    measured = between_readings(telemetry.time_s, telemetry.steered_deg)
+    commanded = between_readings(telemetry.time_s, telemetry.steering_deg, held=True)
     for k, wheel in enumerate(rover.wheels):
         _replace_faulty(telemetry, k, wheel, measured, commanded, findings)
     angle = np.where(np.isfinite(measured), measured, commanded)
@@ -663,8 +678,19 @@ def usable_headings(telemetry: Telemetry, turned_deg: FloatArray, findings: Find
     blank = np.isnan(telemetry.yaw_deg)
     findings.of_rows("missing headings", "rows without yaw_deg", "found from the others", blank, telemetry.time_s)
     yaw = np.where(used, telemetry.yaw_deg, np.nan)
-    yaw[used] = np.unwrap(yaw[used], period=360.0)
+    yaw[used] = _without_full_turns(yaw[used], turned_deg[used])
     return dataclasses.replace(telemetry, yaw_deg=yaw)
+
+
+def _without_full_turns(yaw_deg: FloatArray, turned_deg: FloatArray) -> FloatArray:
+    """Headings that go on over full turns, also where a rover spins by more than half of one between two of them. (n,)
+
+    It turns by a share of what its wheels say, skid-steered ones by half; steps of a quarter turn or less tell it.
+    """
+    change, turn = (np.diff(yaw_deg) + 180.0) % 360.0 - 180.0, np.diff(turned_deg)
+    sure = np.abs(turn) <= 90.0
+    gain = (SIGMA_DEG**2 + change[sure] @ turn[sure]) / (SIGMA_DEG**2 + turn[sure] @ turn[sure])
+    return gain * turned_deg + np.unwrap(yaw_deg - gain * turned_deg, period=360.0)
 
 
 def _used(

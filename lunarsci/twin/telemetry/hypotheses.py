@@ -276,8 +276,9 @@ class AxesHypothesis:
     def read(self, telemetry: Telemetry) -> Telemetry:
         """Telemetry as it is meant."""
         yaw = self.heading(telemetry.yaw_deg)
-        given = np.isfinite(yaw)
-        yaw[given] = np.unwrap(yaw[given], period=360.0)
+        if abs(self.yaw[0]) != 1.0:
+            given = np.isfinite(yaw)
+            yaw[given] = np.unwrap(yaw[given], period=360.0)
         return replace(
             telemetry,
             yaw_deg=yaw,

@@ -1,10 +1,5 @@
 """Telemetry of a drive as numbers: read from CSV, ECSV and Parquet by the columns' names, and what is wrong.
 
-Tables of ROS are read as well: `rostopic echo -p` (%time, field.pose.pose.position.x), bagpy (header.stamp.secs), ros2
-bags (header.stamp.nanosec) and PlotJuggler (__time, /joint_states/wheel_FL/position). Units and axes are those of REP
-103: s, m, rad, x ahead, z up; covariances those of geometry_msgs/PoseWithCovariance: 6 x 6 of x, y, z and turns about
-them, row by row.
-
 A week at 10 Hz is 6 million rows, of which a rover drives through some ten thousand. Rows are taken in blocks. A block
 rests where no wheel is told to turn, reads a rate or gets any further, and time goes on evenly; of a block that rests
 between two others that rest only rows with a new position are kept. What is left out says nothing of the motion: the
@@ -40,6 +35,7 @@ from lunarsci.io.tables import (
 )
 from lunarsci.twin.plans.motion import GAP
 from lunarsci.twin.rover import Rover
+from lunarsci.twin.telemetry.log_names import ERRORS, as_meant, columns_meant, from_ros
 from lunarsci.units import SIZES, UNIT_ENDING, columns_by_unit
 
 if TYPE_CHECKING:
@@ -47,30 +43,10 @@ if TYPE_CHECKING:
 
 NEEDED = ("time_s", "x_m", "y_m", "yaw_deg")
 """Columns without which a file is no telemetry."""
-ERRORS = ("xx_m2", "xy_m2", "yy_m2")
-"""Columns of the covariance of a position."""
 WHEEL = re.compile(r"(?:speed|steering|angle|rate|steered)_([A-Za-z0-9]+)_(?:m_s|deg|deg_s)")
 PLACES = ("x_m", "y_m", *ERRORS, "sigma_m")
 OF_A_WHEEL = (("angle_{}_deg", "rate_{}_deg_s", "speed_{}_m_s"), ("steered_{}_deg", "steering_{}_deg"))
 """Of each of these every wheel needs one: how it turned, and how it was steered."""
-_PLACED, _OF_WHEEL = r"(?:(?:vo|vio|odom\w*|pos\w*|est|loc)_)?", r"_?(?P<wheel>[fmr][lr])(_\w+)?"
-_LIKELY = {
-    r"t|t_?s|time|timestamp|stamp|secs?|seconds|utc": "time_s",
-    rf"{_PLACED}(x|east\w*)(_m|_pos\w*)?": "x_m",
-    rf"{_PLACED}(y|north\w*)(_m|_pos\w*)?": "y_m",
-    rf"{_PLACED}(yaw|heading|hdg|psi)(_\w+)?": "yaw_deg",
-    rf"(steer\w*?|delta){_OF_WHEEL}": "steered_{}_deg",
-    rf"(w|omega){_OF_WHEEL}": "rate_{}_rad_s",
-}
-"""Names that logs have for columns of telemetry."""
-# Words for ends and sides of a rover in names of wheels, and for covariances and clocks in logs of other software.
-_ENDS = {"f": "F", "front": "F", "r": "R", "rear": "R", "b": "R", "back": "R"}
-_SIDES = {"l": "L", "left": "L", "r": "R", "right": "R"}
-_COVARIANCES = {"0": "xx_m2", "1": "xy_m2", "7": "yy_m2", "35": "yaw_variance"}
-_STAMPS = {"time", "__time", "timestamp", "stamp", "rosbagtimestamp"}
-_STEERS = re.compile(r"steer|corner|azimuth", re.IGNORECASE)
-STAMP_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
-"""Stamps from these on are in these units of s: the clock began in 1970 and stands below 1e10 s. [-, s]"""
 OBEYED = 0.2
 """Standard error of a turn, an angle or a way that commands or other columns say, as a share of it; assumed."""
 BLOCK = 256
@@ -113,9 +89,6 @@ LEAST_ROW_M = 0.3
 slip does not change faster. [m]"""
 
 
-_ENDS |= dict.fromkeys(("m", "mid", "middle", "center", "centre"), "M")
-
-
 def check_telemetry_columns(file: str, names: list[str], rover: Rover, *, placed: bool) -> None:
     """Raises DataError for wheels of another rover, and for columns that are missing, with what may be meant.
 
@@ -127,11 +100,12 @@ def check_telemetry_columns(file: str, names: list[str], rover: Rover, *, placed
         f"{name}{_guess(name, names)}" for name in NEEDED if name not in names and (placed or name not in PLACES)
     ]
     places = tuple(missing)
-    for forms, usual in zip(OF_A_WHEEL, (1, 0), strict=True):
-        without = [wheel for wheel in rover.wheels if not any(form.format(wheel) in names for form in forms)]
+    steered = [wheel for wheel, steers in zip(rover.wheels, rover.steered_mask, strict=True) if steers]
+    for forms, usual, needed in zip(OF_A_WHEEL, (1, 0), ([*rover.wheels], steered), strict=True):
+        without = [wheel for wheel in needed if not any(form.format(wheel) in names for form in forms)]
         if without:
             which, guess = f"W = {', '.join(without)}, as the file has the wheels {', '.join(wheels)}", ""
-            if len(without) == len(rover.wheels):
+            if without == needed:
                 which, guess = "each wheel W", _guess(forms[usual].format(without[0]), names)
             missing.append(f"{' or '.join(form.format('W') for form in forms)} of {which}{guess}")
     if others or missing:
@@ -152,125 +126,8 @@ def _guess(needed: str, names: list[str]) -> str:
     other = [name for name in names if UNIT_ENDING.sub("", name) == bare] or difflib.get_close_matches(
         needed, names, 1, 0.75
     )
-    other = other or [name for name in names if UNIT_ENDING.sub("", likely_meaning(name) or name) == bare]
+    other = other or [name for name in names if bare in {UNIT_ENDING.sub("", one) for one in columns_meant(name, ())}]
     return f" ({other[0]}?)" if other else ""
-
-
-def likely_meaning(name: str) -> str:
-    """The column of telemetry that another name may stand for; '' where none is likely.
-
-    >>> likely_meaning("t"), likely_meaning("vo_x"), likely_meaning("w_fl")
-    ('time_s', 'x_m', 'rate_FL_rad_s')
-    """
-    for words, meant in _LIKELY.items():
-        if match := re.fullmatch(words, name, re.IGNORECASE):
-            return meant.format(_wheel_in(match["wheel"])) if "{" in meant else meant
-    return ""
-
-
-def meaning_of(name: str) -> str:
-    """What a column of ROS is: `stamp`, `x_m`, `qw`, `angle_FL_deg`, ...; '' for any other.
-
-    >>> meaning_of("field.pose.pose.position.x"), meaning_of("/joint_states/front_left_wheel/velocity")
-    ('x_m', 'rate_FL_deg_s')
-    """
-    words = [word.lower() for word in re.split(r"[./]+", name.strip().lstrip("%/")) if word]
-    if not words:
-        return ""
-    if words[-1] in _STAMPS and (len(words) == 1 or "header" in words):
-        return "stamp"
-    if "stamp" in words[:-1] and words[-1] in ("secs", "sec", "nsecs", "nsec", "nanosec"):
-        return "nsecs" if words[-1].startswith("n") else "secs"
-    if words[-2:-1] == ["position"] and words[-1] in ("x", "y"):
-        return f"{words[-1]}_m"
-    if words[-2:-1] == ["orientation"] and words[-1] in ("x", "y", "z", "w"):
-        return f"q{words[-1]}"
-    place = re.fullmatch(r".*pose[\W_]?covariance[\W_]?(\d+)\W?", ".".join(words))
-    if place:
-        return _COVARIANCES.get(place[1], "")
-    if len(words) > 1 and words[-1] in ("position", "velocity") and (wheel := _wheel_in(words[-2])):
-        if _STEERS.search(words[-2]):
-            return f"steered_{wheel}_deg" if words[-1] == "position" else ""
-        return f"angle_{wheel}_deg" if words[-1] == "position" else f"rate_{wheel}_deg_s"
-    return ""
-
-
-def _wheel_in(joint: str) -> str:
-    words = re.split(r"[_\W]+", joint)
-    for word in words:
-        for first, other in ((word[:1], word[1:]), (word[1:], word[:1])):
-            if len(word) == 2 and first in _ENDS and other in _SIDES:
-                return _ENDS[first] + _SIDES[other]
-    ends = [_ENDS[word] for word in words if len(word) > 2 and word in _ENDS]
-    sides = [_SIDES[word] for word in words if len(word) > 2 and word in _SIDES]
-    return ends[0] + sides[0] if ends and sides else ""
-
-
-def ros_names(names: list[str]) -> list[str]:
-    """Columns that a table of ROS has in lunarsci's words; none for any other table."""
-    meanings = {meaning_of(name) for name in names} - {""}
-    if not meanings & {"x_m", "qw"} or not meanings & {"stamp", "secs"}:
-        return []
-    turned = {"time_s", *(("yaw_deg",) if "qw" in meanings else ())}
-    return sorted(meanings - {"stamp", "secs", "nsecs", "qx", "qy", "qz", "qw", "yaw_variance"} | turned)
-
-
-def from_ros(file: str, table: "pd.DataFrame") -> "pd.DataFrame":
-    """A table of ROS with lunarsci's columns; any other as it is. Raises DataError for two places of one rover."""
-    names = [str(name) for name in table.columns]
-    if not ros_names(names) or "time_s" in names:
-        return table
-    columns: dict[str, str] = {}
-    for name in sorted(names, key=lambda one: "odom" in one.lower()):
-        meaning = meaning_of(name)
-        other = columns.get(meaning, "")
-        if meaning in ("x_m", "qw") and other and ("odom" in other.lower()) == ("odom" in name.lower()):
-            raise DataError(f"{file}: '{other}' and '{name}' are both the rover's; keep the localised ones")
-        columns.setdefault(meaning, name)
-    if "secs" in columns:
-        columns.pop("stamp", None)
-    values = {meaning: numbers_of(file, name, table[name]) for meaning, name in columns.items() if meaning}
-    made = {"time_s": _seconds(columns, values.get("secs", values.get("stamp", np.zeros(0))))}
-    if "secs" in values and "nsecs" in values:
-        made["time_s"] = made["time_s"] + 1e-9 * values["nsecs"]
-    for meaning, column in values.items():
-        if meaning.endswith("_m"):
-            made[meaning] = column
-        elif meaning.endswith(("_deg", "_deg_s")):
-            made[meaning] = np.degrees(column)
-    if all(f"q{axis}" in values for axis in "xyzw"):
-        attitude = yaw_roll_pitch(np.column_stack([values[f"q{axis}"] for axis in "xyzw"]))
-        made |= dict(zip(("yaw_deg", "roll_deg", "pitch_deg"), attitude.T, strict=True))
-    if {*ERRORS} <= {*values} and (values["xx_m2"] > 0).any():
-        made |= {name: values[name] for name in ERRORS}
-    if "yaw_variance" in values and (values["yaw_variance"] > 0).any():
-        made["yaw_deg_sigma"] = np.degrees(np.sqrt(np.maximum(values["yaw_variance"], 0.0)))
-    return table.drop(columns=[*columns.values()]).assign(
-        **{name: ["" if np.isnan(one) else repr(float(one)) for one in column] for name, column in made.items()}
-    )
-
-
-def _seconds(columns: dict[str, str], stamps: FloatArray) -> FloatArray:
-    """Stamps in s: `rostopic echo -p` has ns whatever they are, others by their size."""
-    if "secs" not in columns and columns.get("stamp", "").startswith(("%", "field.")):
-        return 1e-9 * stamps
-    most = float(np.nanmax(stamps, initial=0.0))
-    return next((size for least, size in STAMP_UNITS if most >= least), 1.0) * stamps
-
-
-def yaw_roll_pitch(quaternion: FloatArray) -> FloatArray:
-    """Of quaternions x, y, z, w, pitch positive nose down; NaN where they are none. (n, 3) [deg]
-
-    Body axes x ahead, y left, z up, as ROS has them (REP 103).
-    """
-    from scipy.spatial.transform import Rotation
-
-    turns = np.full((len(quaternion), 3), np.nan)
-    norm = np.linalg.norm(quaternion, axis=1)
-    proper: BoolArray = np.isfinite(norm) & (norm > 0)
-    if proper.any():
-        turns[proper] = Rotation.from_quat(quaternion[proper]).as_euler("ZYX", degrees=True)[:, [0, 2, 1]]
-    return turns
 
 
 class RowsWithoutRests:
@@ -353,7 +210,9 @@ class RowsWithoutRests:
             _columns(rows, [WHEEL_COLUMNS[key].format(wheel) for wheel in wheels])
             for key in ("speed_m_s", "rate_deg_s", "angle_deg")
         )
-        off = np.abs(angles - np.where(np.isfinite(self._anchor), self._anchor, angles[0]))
+        given, every = np.isfinite(angles), np.arange(angles.shape[1])
+        first_deg, last_deg = angles[given.argmax(axis=0), every], angles[-1 - given[::-1].argmax(axis=0), every]
+        off = np.abs(angles - np.where(np.isfinite(self._anchor), self._anchor, first_deg))
         rim = np.radians(np.abs(rate)) * self._rover.wheel.shearing_radius_m
         turns = (commanded != 0) & np.isfinite(commanded) | (rim > STILL * self._rover.max_speed_m_s)
         observed = np.isfinite(commanded) | np.isfinite(rim) | np.isfinite(angles)
@@ -365,7 +224,7 @@ class RowsWithoutRests:
             and not (turns | (off > TURNED_DEG)).any()
         )
         if not rests:
-            self._anchor = angles[-1]
+            self._anchor = np.where(np.isfinite(last_deg), last_deg, self._anchor)
         return rests
 
 
@@ -599,8 +458,11 @@ def read_telemetry(
     rows, infinite, synthetic = RowsWithoutRests(source.name, rover), Counter[str](), False
     begin = -math.inf if start_s is None else start_s
     with open_input(source) as stream:
-        for table in tables_of(stream, findings):
+        for written in tables_of(stream, findings):
+            table, read_as = as_meant(written, rover.wheels)
             values = _numbers(source.name, table, rover, placed=placed)
+            if read_as and not rows.read:
+                findings.add("read as", f"column {read_as}", "taken so; `lunarsci template telemetry` has all names")
             for name, column in values.items():
                 infinite[name] += int(np.isinf(column).sum())
                 values[name] = np.where(np.isinf(column), np.nan, column)
@@ -663,6 +525,8 @@ def _telemetry(
     columns: dict[str, Any] = {
         key: _columns(values, [form.format(wheel) for wheel in rover.wheels]) for key, form in WHEEL_COLUMNS.items()
     }
+    steering = columns["steering_deg"]
+    columns["steering_deg"] = np.where(rover.steered_mask | np.isfinite(steering), steering, 0.0)
     return Telemetry(
         file=file,
         time_s=values["time_s"],
@@ -750,6 +614,23 @@ def filled(at: FloatArray, values: FloatArray) -> FloatArray:
     """Values with what is missing found from those beside it; 0 where there are none. (n,), (n,)"""
     given = np.isfinite(values)
     return np.interp(at, at[given], values[given]) if given.any() else 0.0 * at
+
+
+def between_readings(at: FloatArray, values: FloatArray, *, held: bool = False) -> FloatArray:
+    """Values of sensors that report in some rows only, also in those between; of commands, which hold, the last one.
+
+    Between readings that are as far apart as a gap (`GAP`) it is as if nothing had been sent. (n,), (n, k)
+    """
+    result = values.copy()
+    for column in result.T:
+        given = np.flatnonzero(np.isfinite(column))
+        if 1 < len(given) < len(column):
+            steps = np.diff(at[given])
+            next_one = np.clip(np.searchsorted(given, np.arange(len(at))), 1, len(given) - 1)
+            near = (steps <= GAP * np.median(steps))[next_one - 1]
+            near &= (np.arange(len(at)) > given[0]) & (np.arange(len(at)) < given[-1]) & np.isnan(column)
+            column[near] = column[given[next_one - 1]][near] if held else np.interp(at[near], at[given], column[given])
+    return result
 
 
 def between(values: FloatArray) -> FloatArray:

@@ -10,7 +10,9 @@ Gauss-Newton for the whole drive (Bell 1994, 10.1137/0804035).
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -307,7 +309,9 @@ def smooth(
         raise DataError(
             "the motion cannot be found; check the errors of positions and headings, and their units"
         ) from error
-    off, spread = _residuals(nodes, reference, state, covariance)
+    off, spread = _residuals(
+        nodes, reference, state, lambda rows: np.asarray(rows @ covariance @ np.swapaxes(rows, 1, 2))
+    )
     return Smoothed(
         state=state,
         covariance=covariance,
@@ -323,15 +327,15 @@ def smooth(
 
 
 def _residuals(
-    nodes: Nodes, reference: ReferenceMotion, state: FloatArray, covariance: FloatArray
+    nodes: Nodes, reference: ReferenceMotion, mean: FloatArray, covariance_of: Callable[[FloatArray], FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
     """What positions and headings are off (n, 3), and how well it is known where they should be (n, 3, 3).
 
-    `state` and `covariance` are those of state and constants together.
+    `mean` is that of state and constants together, `covariance_of` the covariance of what rows make of them.
     """
     linear = linearised(nodes, reference)
     seen = np.concatenate([linear.seen, linear.by], axis=2)
-    return linear.value - np.einsum("nij,nj->ni", seen, state), seen @ covariance @ np.swapaxes(seen, 1, 2)
+    return linear.value - np.einsum("nij,nj->ni", seen, mean), covariance_of(seen)
 
 
 def probable(nodes: Nodes, change: SlipProcess, priors: Priors, reference: ReferenceMotion) -> tuple[FloatArray, float]:
@@ -345,21 +349,23 @@ def _round(
     nodes: Nodes, reference: ReferenceMotion, change: SlipProcess, priors: Priors, *, robust: bool = False
 ) -> ReferenceMotion:
     """The motion about a reference, as the next one, with weights by Student's law where it is `robust`."""
-    state, covariance, constants = _about(nodes, reference, change, priors)
+    joint, constants = _about(nodes, reference, change, priors)
     fix_weight, yaw_weight = reference.fix_weight, reference.yaw_weight
     if robust:
-        fix_weight, yaw_weight = _weights(nodes, *_residuals(nodes, reference, state, covariance))
-    return ReferenceMotion(state=state[:, :SIZE], constants=constants, fix_weight=fix_weight, yaw_weight=yaw_weight)
+        fix_weight, yaw_weight = _weights(nodes, *_residuals(nodes, reference, joint.mean, joint.seen))
+    return ReferenceMotion(
+        state=joint.mean[:, :SIZE], constants=constants, fix_weight=fix_weight, yaw_weight=yaw_weight
+    )
 
 
 def _about(
     nodes: Nodes, reference: ReferenceMotion, change: SlipProcess, priors: Priors
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """State and constants (n, 11 + k), their covariance, and the constants alone, for the usual change."""
+) -> tuple["_Joint", FloatArray]:
+    """State and constants, and the constants alone (k,), for the usual change."""
     model = Model.about(nodes, reference, change.middle)
     run = smoothed_back(model, filtered(model))
     (posterior,) = averaged(priors, run, probable_sets(priors, run.squares[0]))
-    return *_joined(run, 0, posterior), posterior.mean
+    return _Joint.of(run, 0, posterior), posterior.mean
 
 
 def _downweighted(nodes: Nodes, reference: ReferenceMotion, priors: Priors) -> ReferenceMotion:
@@ -371,11 +377,11 @@ def _downweighted(nodes: Nodes, reference: ReferenceMotion, priors: Priors) -> R
     fix_weight, yaw_weight = reference.fix_weight.copy(), reference.yaw_weight.copy()
     for _ in range(len(nodes.time_s)):
         reference = replace(reference, fix_weight=fix_weight, yaw_weight=yaw_weight)
-        state, covariance, constants = _about(nodes, reference, SlipProcess.coarse(), priors)
-        off, spread = _residuals(nodes, reference, state, covariance)
+        joint, constants = _about(nodes, reference, SlipProcess.coarse(), priors)
+        off, spread = _residuals(nodes, reference, joint.mean, joint.seen)
         fixes, headings = (np.nan_to_num(one) for one in _distances(nodes, reference, off, spread))
         fixes[fix_weight < 1.0], headings[yaw_weight < 1.0] = 0.0, 0.0
-        reference = replace(reference, state=state[:, :SIZE], constants=constants)
+        reference = replace(reference, state=joint.mean[:, :SIZE], constants=constants)
         if max(fixes.max(), headings.max()) < FAR:
             return reference
         far = fixes >= max(FAR, fixes.max())
@@ -385,14 +391,45 @@ def _downweighted(nodes: Nodes, reference: ReferenceMotion, priors: Priors) -> R
     return reference
 
 
-def _joined(run: FilterRun, number: int, posterior: Posterior) -> tuple[FloatArray, FloatArray]:
-    """State and constants together, and their covariance, for one of the assumptions."""
-    columns, size = run.columns[:, number], len(posterior.mean)
-    onto = np.concatenate([columns[..., 1:], np.broadcast_to(np.eye(size), (len(columns), size, size))], axis=1)
-    state, covariance = onto @ posterior.mean, onto @ posterior.covariance @ np.swapaxes(onto, 1, 2)
-    state[:, :SIZE] += columns[..., 0]
-    covariance[:, :SIZE, :SIZE] += run.covariance[:, number]
-    return state, covariance
+class _Joint(NamedTuple):
+    """State and constants together, for one of the assumptions.
+
+    Attributes
+    ----------
+    mean : of both. (n, 11 + k)
+    alone : covariance of the state if the constants were known. (n, 11, 11)
+    by : what the constants add to the state. (n, 11, k)
+    constants : covariance of the constants. (k, k)
+    """
+
+    mean: FloatArray
+    alone: FloatArray
+    by: FloatArray
+    constants: FloatArray
+
+    @classmethod
+    def of(cls, run: FilterRun, number: int, posterior: Posterior) -> "_Joint":
+        """Of a run under assumption `number`."""
+        columns = run.columns[:, number]
+        by, constants = np.ascontiguousarray(columns[..., 1:]), np.tile(posterior.mean, (len(columns), 1))
+        mean = np.concatenate([columns[..., 0] + by @ posterior.mean, constants], axis=1)
+        return cls(mean, run.covariance[:, number], by, posterior.covariance)
+
+    def seen(self, rows: FloatArray) -> FloatArray:
+        """Covariance of what rows (n, r, 11 + k) make of state and constants. (n, r, r)"""
+        state = rows[..., :SIZE]
+        onto = state @ self.by + rows[..., SIZE:]
+        return np.asarray(
+            state @ self.alone @ np.swapaxes(state, 1, 2) + onto @ self.constants @ np.swapaxes(onto, 1, 2)
+        )
+
+    def add_to(self, covariance: FloatArray) -> None:
+        """Add the whole covariance to another. (n, 11 + k, 11 + k)"""
+        shared = (self.by.reshape(-1, len(self.constants)) @ self.constants).reshape(self.by.shape)
+        covariance[:, :SIZE, :SIZE] += self.alone + shared @ np.swapaxes(self.by, 1, 2)
+        covariance[:, :SIZE, SIZE:] += shared
+        covariance[:, SIZE:, :SIZE] += np.swapaxes(shared, 1, 2)
+        covariance[:, SIZE:, SIZE:] += self.constants
 
 
 def _weights(nodes: Nodes, off: FloatArray, spread: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -429,8 +466,9 @@ def _averaged(
         model = Model.about(nodes, reference, assumed)
         run = smoothed_back(model, filtered(model))
         for k, posterior in enumerate(averaged(priors, run, sets)):
-            means[first + k], of_one = _joined(run, k, posterior)
-            covariance += of_one
+            joint = _Joint.of(run, k, posterior)
+            means[first + k] = joint.mean
+            joint.add_to(covariance)
             posteriors.append(posterior)
     mean = means.mean(axis=0)
     apart = means - mean
@@ -453,14 +491,15 @@ def _squared_distances(errors: FloatArray, weight: FloatArray, off: FloatArray, 
     """
     counted = errors / weight[:, None, None]
     value, axes = np.linalg.eigh(counted - spread)
-    # Without the measurement itself it is off by more, from a motion that is less well known.
+    # Without the measurement itself it is off by more, from a motion that is less well known: by counted (counted -
+    # spread)^-1 spread.
     gain = (
         counted
         @ (axes / np.maximum(value, 1e-6 * np.trace(errors, axis1=1, axis2=2)[:, None])[:, None])
         @ np.swapaxes(axes, 1, 2)
     )
     alone = gain @ off[..., None]
-    return np.asarray((alone * np.linalg.solve(errors + gain @ counted - counted, alone)).sum(axis=(1, 2)))
+    return np.asarray((alone * np.linalg.solve(errors + gain @ spread, alone)).sum(axis=(1, 2)))
 
 
 def _distances(

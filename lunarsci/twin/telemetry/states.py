@@ -39,6 +39,7 @@ from lunarsci.twin.telemetry.checks import (
     time_gaps,
     usable_headings,
     usable_positions,
+    with_wheels,
 )
 from lunarsci.twin.telemetry.filter import LAG, LEVER, LINEAR_S, MOST_PARTS, SCALE, Nodes, lag_of_turns, linearised
 from lunarsci.twin.telemetry.hypotheses import (
@@ -417,7 +418,7 @@ def states_of(
     """
     legs = () if plan is None else plan.legs
     tested = {leg.wheel_test.wheel for leg in legs if leg.wheel_test is not None}
-    named = in_units(ordered(telemetry, findings), rover, findings)
+    named = in_units(with_wheels(ordered(telemetry, findings), findings), rover, findings)
     sent, schedule = _wheel_turns(named, rover, findings, tested), None
     as_planned, longer_s, pace = False, 0.0, None
     if plan is not None:

@@ -37,6 +37,7 @@ from lunarsci.twin.telemetry.reading import (
     Findings,
     Telemetry,
     between,
+    between_readings,
 )
 
 ON_THE_SPOT = 0.1
@@ -88,8 +89,12 @@ def wheel_motion(telemetry: Telemetry, rover: Rover, gaps: BoolArray, findings: 
     """
     per_deg = np.radians(rover.wheel.shearing_radius_m)
     steps, resting = np.diff(telemetry.time_s)[:, None], resting_steps(telemetry)
-    command = between(telemetry.speed_m_s) / per_deg * steps
-    angle, rate = np.diff(telemetry.angle_deg, axis=0), between(telemetry.rate_deg_s) * steps
+    sent_m_s, rate_deg_s, angle_deg = (
+        between_readings(telemetry.time_s, values, held=values is telemetry.speed_m_s)
+        for values in (telemetry.speed_m_s, telemetry.rate_deg_s, telemetry.angle_deg)
+    )
+    command, rate = between(sent_m_s) / per_deg * steps, between(rate_deg_s) * steps
+    angle = np.diff(angle_deg, axis=0)
     # An encoder that hangs beside what its rate, else its command, says.
     since_start = np.cumsum(np.nan_to_num(np.where(np.isfinite(rate), rate, command)), axis=0)
     expected = np.vstack([np.zeros_like(since_start[:1]), since_start])
@@ -104,7 +109,7 @@ def wheel_motion(telemetry: Telemetry, rover: Rover, gaps: BoolArray, findings: 
     for turn in (command, rate, angle):
         turn[resting] *= 0.0
     turns = {"command": command, "rate": rate, "angle": angle}
-    rates = {"command": telemetry.speed_m_s / per_deg, "rate": telemetry.rate_deg_s}
+    rates = {"command": sent_m_s / per_deg, "rate": rate_deg_s}
     went = _turns(turns, _sigma(turns, rates, digits, steps), rover.max_speed_m_s / per_deg * (steps + CLOCK_S), gaps)
     measured = np.where(went.counts, angle - 360.0 * went.wraps, np.where(went.tells, rate, np.nan)) / steps
     _report(telemetry, rover, went, hung[1:], ~np.isfinite(measured), findings)

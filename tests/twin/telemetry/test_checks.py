@@ -300,8 +300,8 @@ REFUSED: dict[str, tuple[Spoil, str]] = {
         lambda t: t.drop(columns=[c for c in t if "_ML_" in c or "_MR_" in c]), "file has the wheels FL, FR, RL, RR",
     ),
     "several columns": (
-        lambda t: t.rename(columns={"x_m": "x_pos"}).drop(columns=["yaw_deg", *filter(STEERED.match, t)]),
-        r"missing: x_m \(x_pos\?\), yaw_deg, steered_W_deg or steering_W_deg of each wheel W; .* template telemetry",
+        lambda t: t.drop(columns=["x_m", "yaw_deg", *filter(STEERED.match, t)]).assign(vo_x=0, odom_x=0),
+        r"missing: x_m \(vo_x\?\), yaw_deg, steered_W_deg or steering_W_deg of each wheel W; .* template telemetry",
     ),
     "no dates": (lambda t: t.assign(time_s="2026-11-24Tx"), "is no date that can be read; give dates as 2026-11-24T10"),
     "text": (lambda t: t.assign(yaw_deg=["east", *t.yaw_deg[1:]]), "'east' is no number"),

@@ -62,7 +62,9 @@ def without(values: np.ndarray, k: int) -> np.ndarray:
 def test_distances_are_those_from_where_the_motion_is_without_the_measurement() -> None:
     nodes = straight(0)
     found = smooth(nodes, CHANGE)
-    residuals = smoother._residuals(nodes, found.reference, found.state, found.covariance)
+    residuals = smoother._residuals(
+        nodes, found.reference, found.state, lambda rows: rows @ found.covariance @ np.swapaxes(rows, 1, 2)
+    )
     places, headings = smoother._distances(nodes, found.reference, *residuals)
     assert np.array_equal(np.isfinite(places), np.isfinite(nodes.fix_m[:, 0]))
     assert np.array_equal(np.isfinite(headings), np.isfinite(nodes.yaw_rad))
