@@ -518,6 +518,10 @@ class Posterior:
     probable: FloatArray
 
 
+LAST_DIGIT = math.log(np.finfo(float).eps)
+"""ln of the share below which something does not count in a sum of floating-point numbers."""
+
+
 def ln_evidence(squares: FloatArray, mean: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """ln of the marginal likelihood (m,), means (m, k) and covariances (m, k, k) of normal constants.
 
@@ -533,21 +537,39 @@ def ln_evidence(squares: FloatArray, mean: FloatArray, sigma: FloatArray) -> tup
 
 
 def probable_sets(priors: Priors, squares: FloatArray) -> list[BoolArray]:
-    """Sets of hypotheses to average over: the most probable one that is reached hypothesis by hypothesis, and all that
-    differ from it by one. `squares` are those of one assumption. (1 + k, 1 + k)"""
+    """Sets of hypotheses to average over: the most probable one that is reached hypothesis by hypothesis, and those
+    that differ from it by one and count beside it. `squares` are those of one assumption. (1 + k, 1 + k)"""
     held = np.zeros(len(priors.hypotheses), dtype=bool)
-
-    def probable(tried: BoolArray) -> float:
-        mean, sigma, ln_odds = priors.under(tried)
-        return ln_odds + float(ln_evidence(squares[None], mean, sigma)[0][0])
-
-    best = probable(held)
     while True:
         near = [np.where(np.arange(len(held)) == k, ~held, held) for k in range(len(held))]
-        values = [probable(one) for one in near]
-        if not values or not max(values) > best:
-            return [held, *near]
-        best, held = max(values), near[int(np.argmax(values))]
+        gains = _gains(priors, squares, held, near)
+        if not gains or not max(gains) > 0.0:
+            return [held, *(one for one, gain in zip(near, gains, strict=True) if gain > LAST_DIGIT)]
+        held = near[int(np.argmax(gains))]
+
+
+def _gains(priors: Priors, squares: FloatArray, held: BoolArray, near: list[BoolArray]) -> list[float]:
+    """ln of how much more probable than a set of hypotheses each is that differs from it by one.
+
+    What the measurements say of the members of that one is the posterior divided by the prior, so that their normal
+    factors alone are integrated anew.
+    """
+    mean, sigma, ln_odds = priors.under(held)
+    _, (centre,), (covariance,) = ln_evidence(squares[None], mean, sigma)
+    result = []
+    for one, tried in zip(priors.hypotheses, near, strict=True):
+        part, (other, other_sigma, other_odds) = list(one.members), priors.under(tried)
+        precision, inverse = sigma[part] ** -2, np.linalg.inv(covariance[np.ix_(part, part)])
+        said, shift = inverse - np.diag(precision), inverse @ centre[part] - precision * mean[part]
+
+        def ln_of(about: FloatArray, spread: FloatArray, said: FloatArray = said, shift: FloatArray = shift) -> float:
+            whole, towards = said + np.diag(spread**-2), shift + about / spread**2
+            determinant = np.linalg.slogdet(whole)[1] + 2.0 * np.log(spread).sum()
+            return float(towards @ np.linalg.solve(whole, towards) - ((about / spread) ** 2).sum() - determinant) / 2.0
+
+        gain = ln_of(other[part], other_sigma[part]) - ln_of(mean[part], sigma[part])
+        result.append(gain + other_odds - ln_odds)
+    return result
 
 
 def averaged(priors: Priors, run: FilterRun, sets: list[BoolArray]) -> list[Posterior]:
