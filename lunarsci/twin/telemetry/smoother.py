@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray, IndexArray
+from lunarsci.arrays import BoolArray, FloatArray, IndexArray
 from lunarsci.errors import DataError
 from lunarsci.twin.telemetry.filter import (
     AHEAD,
@@ -369,7 +369,7 @@ def _about(
 
 
 def _downweighted(nodes: Nodes, reference: ReferenceMotion, priors: Priors) -> ReferenceMotion:
-    """Weights to begin with: the position that is farthest from where all others put it hardly counts, then the next.
+    """Weights to begin with: positions that are farthest from where all others put them hardly count, then the next.
 
     Student's law has several modes. Where a wrong position counts as much as any at first, its neighbours may end as
     the odd ones.
@@ -379,16 +379,28 @@ def _downweighted(nodes: Nodes, reference: ReferenceMotion, priors: Priors) -> R
         reference = replace(reference, fix_weight=fix_weight, yaw_weight=yaw_weight)
         joint, constants = _about(nodes, reference, SlipProcess.coarse(), priors)
         off, spread = _residuals(nodes, reference, joint.mean, joint.seen)
-        fixes, headings = (np.nan_to_num(one) for one in _distances(nodes, reference, off, spread))
-        fixes[fix_weight < 1.0], headings[yaw_weight < 1.0] = 0.0, 0.0
+        fixes, headings = _distances(nodes, reference, off, spread)
+        far, odd = _farthest(fixes, fix_weight), _farthest(headings, yaw_weight)
         reference = replace(reference, state=joint.mean[:, :SIZE], constants=constants)
-        if max(fixes.max(), headings.max()) < FAR:
+        if not (far.any() or odd.any()):
             return reference
-        far = fixes >= max(FAR, fixes.max())
         fix_weight = np.where(far, (FREEDOM + 2.0) / (FREEDOM + fixes), fix_weight)
-        far = headings >= max(FAR, 0.5 * headings.max())
-        yaw_weight = np.where(far, (FREEDOM + 1.0) / (FREEDOM + headings), yaw_weight)
+        yaw_weight = np.where(odd, (FREEDOM + 1.0) / (FREEDOM + headings), yaw_weight)
     return reference
+
+
+def _farthest(squared: FloatArray, weight: FloatArray) -> BoolArray:
+    """Of each run of far measurements the farthest, as it may have drawn its neighbours along. (n,)
+
+    `squared` is NaN where there is none; those that count less already are no more than their neighbours.
+    """
+    given = np.flatnonzero(np.isfinite(squared))
+    values = np.where(weight[given] < 1.0, 0.0, squared[given])
+    far, result = values >= FAR, np.zeros(len(squared), dtype=bool)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], far.astype(np.int8), [0]])))
+    for begin, end in edges.reshape(-1, 2):
+        result[given[begin + int(np.argmax(values[begin:end]))]] = True
+    return result
 
 
 class _Joint(NamedTuple):
