@@ -105,9 +105,9 @@ def _notes_of_motion(result: MotionLoads) -> list[str]:
     if missing := result.missing:
         notes.insert(
             0,
-            f"the motion needs {missing['mean_ahead_n']:.2f} N ahead and {missing['mean_left_n']:.2f} N to the left "
-            f"that the wheels do not supply in the mean, {100 * missing['rms_share_of_weight']:.1f} % of the weight in "
-            "rms",
+            f"on average the motion needs {missing['mean_ahead_n']:.2f} N ahead and {missing['mean_left_n']:.2f} N to "
+            "the left more than the wheels supply; the root mean square of what is missing is "
+            f"{100 * missing['rms_share_of_weight']:.1f} % of the weight",
         )
     return [*notes, "the terrain is synthetic"] if result.inputs.terrain.synthetic else notes
 
@@ -119,11 +119,13 @@ def _notes(result: UncertainLoads) -> list[str]:
     if "belief" not in result.given:
         notes.append("no belief is given: the soils are drawn from the priors")
     if result.states is None:
-        notes.append("no states are given: sinkages in the table are those of the assumed soil, and tell nothing of it")
+        notes.append(
+            "no states are given: the sinkages in the table follow from the assumed soil, and say nothing about it"
+        )
     elif result.turned is None:
         notes.append(
-            "errors of single pulls are one soil's, alike at all poses; `regolith identify` takes them as independent "
-            "and is too sure of what it finds, --iterate is not"
+            "errors of single pulls are alike at all poses, as the soil is one; `regolith identify` takes them as "
+            "independent, so that its errors are too small; --iterate does not"
         )
     return [*notes, "the terrain is synthetic"] if result.inputs.terrain.synthetic else notes
 

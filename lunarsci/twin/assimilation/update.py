@@ -515,8 +515,8 @@ class SlipLean:
         """Both medians and the error of their difference, and why tables of predictions show more."""
         result = f"{self.measured:.3f} measured, {self.simulated:.3f} predicted from what is believed now"
         return (
-            f"{self.stretch}median slip ratio: {result}; standard error of the difference "
-            f"{self.error:.3f}; `twin predict` lists the largest of each drive"
+            f"{self.stretch}median slip ratio: {result}; the difference has a standard error of {self.error:.3f}; "
+            "`twin predict` lists the largest slip of each drive, which is more"
         )
 
     def to_dict(self) -> dict[str, float | bool]:

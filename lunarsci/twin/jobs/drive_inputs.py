@@ -13,6 +13,7 @@ from lunarsci.errors import DataError, LunarSciWarning, RequestError, within_opt
 from lunarsci.heights import HeightUnit
 from lunarsci.io.documents import json_document
 from lunarsci.io.inputs import Source, read_input
+from lunarsci.names import counted
 from lunarsci.provenance import sha256
 from lunarsci.regolith.belief import FitVerdict, SoilBelief, doubt, other_law
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
@@ -121,14 +122,11 @@ class DriveInputs:
             every = f"soil: of each drive a row of {self.given.name}"
             lines = [some if members < self.given.rows else every] if self.given.of == "samples" else []
             return [*lines, f"soil: that of {self.driven.name}{rest}{why}"] if named else lines
-        start = "no drive yet, only on " + ("the priors" if belief.verdict is None else "a fit to wheel states")
-        drives = start if not belief.history else f"{len(belief.history)} drive(s)"
+        start = "before any drive" if belief.verdict is None else "a fit to wheel states"
+        drives = start if not belief.history else counted(len(belief.history), "drive")
         unread = len(belief.history) - self.given.learned
         less = f", {unread} of which taught nothing" if unread else ""
-        drawn_from = (
-            f"soil: {members} drawn from the belief {self.given.name}, which rests on {drives}{less}; it takes the "
-            "place of the terrain's soil"
-        )
+        drawn_from = f"soil: {members} drawn from {self.given.name} ({drives}{less}); they replace that of the terrain"
         return [drawn_from, *([f"caution: {self.caution_of_belief}"] if self.caution_of_belief else [])]
 
     @property

@@ -310,8 +310,8 @@ def check_slips(slip: FloatArray, measured: BoolArray, time_s: FloatArray, findi
     """
     fast = measured & (np.abs(slip) > VALID_SLIP)
     count = f"{fast.sum()} of {measured.sum()} states"
-    what = f"{count} slip by more than {VALID_SLIP:g}, beyond what the wheel model holds for"
-    done = "kept here, in medians and ranges too, but marked not valid: `twin update` learns no soil from them"
+    what = f"{count} slip by more than {VALID_SLIP:g}, where the wheel model no longer holds"
+    done = "medians and ranges include them; `twin update` leaves them out, as their `valid` is false"
     findings.of_rows(FAST, what, done, fast, time_s)
 
 
@@ -661,7 +661,9 @@ def usable_headings(telemetry: Telemetry, turned_deg: FloatArray, findings: Find
     bad = "heading error", "yaw_deg_sigma is missing, 0 or negative"
     used = _used("heading", bad, telemetry, telemetry.yaw_deg[:, None], sigma, turned_deg, findings)
     blank = np.isnan(telemetry.yaw_deg)
-    findings.of_rows("missing headings", "rows without yaw_deg", "found from the others", blank, telemetry.time_s)
+    findings.of_rows(
+        "missing headings", "rows lack yaw_deg", "their headings follow from other rows", blank, telemetry.time_s
+    )
     yaw = np.where(used, telemetry.yaw_deg, np.nan)
     yaw[used] = np.unwrap(yaw[used], period=360.0)
     return dataclasses.replace(telemetry, yaw_deg=yaw)
@@ -707,9 +709,9 @@ def check_attitude(telemetry: Telemetry, held: PrescribedLoads, rows: IndexArray
             continue
         mounted = float(np.median(a - b))
         turned = abs(mounted) < MOUNTED_DEG and off(a - mounted) < 0.5 * ATTITUDE_DEG
-        hint = "; it has the other sign" if off(-a) < 0.4 * off(a) else ""
-        hint = "; it looks like rad" if off(np.degrees(a)) < 0.4 * off(a) else hint
-        cause = f"its sensor is turned by {mounted:.2g} deg" if turned else "another terrain, frame or sign"
-        what = f"{name} is {off(a):.3g} deg off the terrain's in the median{hint}: {cause}"
+        cause = f"its sensor is turned by {mounted:.2g} deg" if turned else "it is of another terrain or frame"
+        cause = "it has the other sign" if off(-a) < 0.4 * off(a) else cause
+        cause = "it looks like rad" if off(np.degrees(a)) < 0.4 * off(a) else cause
+        what = f"{name} differs from the terrain's by {off(a):.3g} deg in the median: {cause}"
         done = "the terrain's is taken"
         findings.add("attitude against terrain", what, done, count=int(given.sum()), doubt=not turned)
