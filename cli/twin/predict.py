@@ -149,14 +149,16 @@ def _verdict_tables(predicted: PredictedDrives) -> list[TextTable]:
 
 def _next(predicted: PredictedDrives) -> str:
     """What may help after a no-go: of drives that leave the ground that is known, where that is."""
-    states, terrain = predicted.verdict.validity, predicted.prediction.terrain
-    off = states.members_off_map + states.members_in_hole
+    states, terrain, plan = predicted.verdict.validity, predicted.prediction.terrain, predicted.prediction.plan
+    off, hole = states.members_off_map, states.members_in_hole
     (x0, x1), (y0, y1) = ((axis[0], axis[-1]) for axis in (terrain.x_m, terrain.y_m))
-    ground = (
-        f"a plan and heights of the same place: these span x {x0:.4g} to {x1:.4g} m and y {y0:.4g} to {y1:.4g} m, and "
-        f"the plan starts at x {predicted.prediction.plan.x_m:.4g} m, y {predicted.prediction.plan.y_m:.4g} m"
-    )
-    parts = ([ground] if off else []) + (_other_drives(predicted) if off < predicted.verdict.members else [])
+    start = f"the plan starts at x {plan.x_m:.4g} m, y {plan.y_m:.4g} m"
+    ground = f"these span x {x0:.4g} to {x1:.4g} m and y {y0:.4g} to {y1:.4g} m, and {start}"
+    parts = [
+        *([f"a plan and heights of the same place: {ground}"] if off else []),
+        *([f"heights without holes along the way, or a way round them: {start}"] if hole else []),
+        *(_other_drives(predicted) if off + hole < predicted.verdict.members else []),
+    ]
     return f"what may help: {'; '.join(parts)}"
 
 

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -66,6 +67,18 @@ def test_a_start_beside_the_terrain_is_said_and_no_soil_is_blamed(run, tmp_path:
     done = run("twin", "predict", beside)
     advice = next(line for line in done.out.splitlines() if line.startswith("what may help: "))
     assert done.code == 3 and "the plan starts at x -500 m, y 0 m" in advice and "twin update" not in advice
+    for name, code in (("limits.slip_ratio.margin", 3), ("limits.slip_rato.margin", 2)):
+        assert run("twin", "predict", beside, "--field", f"result.{name}").code == code
+
+
+def test_a_start_in_a_hole_is_said_to_need_heights(run, tmp_path: Path) -> None:
+    ground, plan = tmp_path / "holed.npz", tmp_path / "plan.toml"
+    x = np.arange(-3.0, 3.01, 0.1)
+    np.savez(ground, x_m=x, y_m=x, height_m=np.where(np.hypot(x, x[:, None]) < 1.0, np.nan, 0.0))
+    plan.write_text(PLAN)
+    done = run("twin", "predict", plan, "--terrain", ground, "--soil", "longji")
+    advice = next(line for line in done.out.splitlines() if line.startswith("what may help: "))
+    assert done.code == 3 and "heights without holes along the way" in advice and "same place" not in advice
 
 
 @pytest.mark.parametrize("name", ["drive.bmp", "drive"])
