@@ -20,6 +20,7 @@ from .options import AS_WRITTEN, BEFORE, CHARGE, DRIVE, EXACT_TERRAIN, KEEP_OUT,
 if TYPE_CHECKING:
     from lunarsci.twin.jobs.predict import PredictedDrives
     from lunarsci.twin.judgement.safety import Judgement, Verdict
+    from lunarsci.twin.simulation.ensemble import Prediction
 
 
 OPTIONS = DRIVE | {
@@ -128,6 +129,7 @@ def _verdict_tables(predicted: PredictedDrives) -> list[TextTable]:
         *predicted.soils.doubt.reasons,
         *([ONE_SOIL] if prediction.members == 1 else []),
         *predicted.inputs.soil_notes(prediction.members, len(prediction.parameters)),
+        *_rut_notes(prediction),
         *predicted.inputs.remarks,
         *_endpoint_notes(verdict),
         *_terrain_notes(predicted),
@@ -145,6 +147,14 @@ def _verdict_tables(predicted: PredictedDrives) -> list[TextTable]:
     if prediction.members == 1:
         headers, *rows = ([row[0], *row[3:]] for row in (headers, *rows))
     return [TextTable(headers if rows else [], rows, title=title, notes=notes)]
+
+
+def _rut_notes(prediction: Prediction) -> list[str]:
+    """In how many drives wheels meet ruts, where the belief leaves it open."""
+    met = int(prediction.ruts.sum())
+    if met in (0, prediction.members):
+        return []
+    return [f"in {met} of {prediction.members} drives wheels meet the ruts of others, as probably as in the last drive"]
 
 
 def _next(predicted: PredictedDrives) -> str:

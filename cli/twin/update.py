@@ -164,10 +164,9 @@ def _notes(learned: LearnedSoil) -> list[str]:
 
 def _rut_note(update: SoilUpdate) -> str:
     """How surely wheels ran in the ruts of others, and what that means for predictions."""
-    will = "will" if update.prediction.ruts else "will not"
     return (
-        f"wheels that follow met the ruts of those before them with a probability of {update.ruts_probability:.2g}; "
-        f"the soils are of both cases, each as probable as it is; where they are driven on, wheels {will} meet ruts"
+        f"the probability that wheels met the ruts of those before them is {update.ruts_probability:.2g}; in "
+        "predictions from this belief wheels meet ruts in as many of the drives"
     )
 
 

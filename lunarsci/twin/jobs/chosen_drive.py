@@ -542,5 +542,5 @@ def _inputs(site: SurveyedSite, given: GivenSoil, plan: Plan, ground: Terrain) -
         driven=site.driven if belief is None else DrivenSoil(given.name, "belief"),
         given=given,
         check=site.check,
-        ruts=belief is not None and belief.ruts,
+        ruts=None,
     )

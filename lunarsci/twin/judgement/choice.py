@@ -94,7 +94,7 @@ class Conditions:
     grounds: Grounds | None = None
     draws: FloatArray | None = None
     discrepancy: PhysicsDiscrepancy | None = None
-    ruts: bool = False
+    ruts: bool | BoolArray = False
     before: Plan | None = None
     seed: int = 0
     time_step_s: float = 0.1
@@ -111,7 +111,8 @@ class Conditions:
         samples = {name: values[numbers] for name, values in self.samples.items()}
         grounds = None if self.grounds is None else _SomeGrounds(self.grounds, numbers, samples)
         draws = None if self.draws is None else self.draws[numbers]
-        return replace(self, samples=samples, grounds=grounds, draws=draws)
+        ruts = np.broadcast_to(self.ruts, (self.members,))[numbers]
+        return replace(self, samples=samples, grounds=grounds, draws=draws, ruts=ruts)
 
     def drive(self, plan: Plan, members: range) -> Prediction:
         """Some members along a plan. Each such part draws its own errors of fixes and discrepancy."""
@@ -129,7 +130,7 @@ class Conditions:
             seed=seed,
             time_step_s=self.time_step_s,
             sample_m=self.sample_m,
-            ruts=self.ruts,
+            ruts=np.broadcast_to(self.ruts, (self.members,))[some],
             before=self.before,
             draws=None if self.draws is None else self.draws[some],
         )
@@ -191,7 +192,7 @@ def joined(parts: Sequence[Prediction]) -> Prediction:
 
     first = parts[0]
     soils = {name: np.concatenate([part.parameters[name] for part in parts]) for name in first.parameters}
-    arrays = {name: whole(name) for name in ("paths", "states", "recorded", "outcome", "finer")}
+    arrays = {name: whole(name) for name in ("paths", "states", "recorded", "outcome", "finer", "ruts")}
     draws, steered = (None if getattr(first, name) is None else whole(name) for name in ("draws", "steered"))
     grounds = first.grounds
     if isinstance(grounds, _SomeGrounds):
