@@ -157,7 +157,8 @@ def _distance_table(names: tuple[str, str], distance: BeliefDistance) -> TextTab
         for name, row in distance.parameters.items()
     ]
     one, other = distance.kullback_leibler
-    shared = f"both rest on the same {counted(distance.shared_drives, 'first drive')}, and are not independent"
+    same = "drive" if distance.shared_drives == 1 else f"{distance.shared_drives} drives"
+    shared = f"both rest on the same first {same}, and are not independent"
     notes = [
         f"as a whole {distance.difference_sd:.2f} combined standard deviations apart; Bhattacharyya distance "
         f"{distance.bhattacharyya:.2f}; Kullback-Leibler {one:.2f} nat lost where the first stands for the second, "

@@ -105,8 +105,8 @@ def _notes_of_motion(result: MotionLoads) -> list[str]:
     if missing := result.missing:
         notes.insert(
             0,
-            f"on average the motion needs {missing['mean_ahead_n']:.2f} N ahead and {missing['mean_left_n']:.2f} N to "
-            "the left more than the wheels supply; the root mean square of what is missing is "
+            f"force that the wheels do not supply: {missing['mean_ahead_n']:.2f} N ahead and "
+            f"{missing['mean_left_n']:.2f} N to the left on average; as root mean square "
             f"{100 * missing['rms_share_of_weight']:.1f} % of the weight",
         )
     return [*notes, "the terrain is synthetic"] if result.inputs.terrain.synthetic else notes
@@ -194,8 +194,8 @@ def _round_table(turned: dict[str, Any]) -> TextTable:
     headers = ["round", "soil moved [sd]", "pulls moved", "chi² sinkages", "chi² totals"]
     rounds = "1 round" if len(rows) == 1 else f"{len(rows)} rounds"
     notes = [
-        "the soil is judged by sinkages under the loads and by what all wheels pull together,",
-        "never by single pulls, which came from a soil",
+        "the soil is judged by sinkages under the loads and by the pull of all wheels together; single pulls do not "
+        "count, as they were computed from a soil",
     ]
     outcome = f"converged after {rounds}" if turned["converged"] else f"{turned['verdict']}, {rounds}"
     return TextTable(headers, rows, title=f"Forces and soil in turn: {outcome}", notes=notes)
