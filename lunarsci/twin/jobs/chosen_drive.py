@@ -30,7 +30,7 @@ from lunarsci.twin.plans.made_for_check import limits_of_rover
 from lunarsci.twin.plans.path import poses_along
 from lunarsci.twin.plans.plan import Limit, Plan, plan_text, read_limits, read_plan
 from lunarsci.twin.plans.risk import AcceptedRisk
-from lunarsci.twin.routes.candidates import MOST, Candidates, candidate_plans
+from lunarsci.twin.routes.candidates import MOST, CandidatePlans, candidate_plans
 from lunarsci.twin.routes.long_way import LONG_M
 from lunarsci.twin.routes.planner import PATH_STEP_M, PlannedPath, RouteSearch, measured_path, search_margin_m
 from lunarsci.twin.simulation.ensemble import PowerState, member_parameters
@@ -378,7 +378,7 @@ def _row(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def chosen_drive(terrain: str | None, asked: PlanRequest, risk: AcceptedRisk, progress: Progress | None) -> ChosenDrive:
-    """Candidates to the target, driven over the soils that are believed, and the one to take.
+    """CandidatePlans to the target, driven over the soils that are believed, and the one to take.
 
     Raises DataError, RequestError, and ParameterError where no path leads there.
     """
@@ -444,7 +444,7 @@ def candidates_of(
     risk: AcceptedRisk,
     progress: Progress | None = None,
     ground: Terrain | None = None,
-) -> Candidates:
+) -> CandidatePlans:
     """Plans to compare, with the limits asked for, the tolerance, and the circles that each comes near to.
 
     `ground` is what they are driven on instead of the site's terrain.
@@ -454,7 +454,7 @@ def candidates_of(
     if asked.tolerance is not None:
         end = Limit("endpoint_miss_m", "m", asked.tolerance, "tolerance of the end from the target", False)
         limits = tuple(end if one.quantity == end.quantity else one for one in limits)
-    found = candidate_plans(
+    searched = candidate_plans(
         search.surface,
         site.rover,
         (x0, y0, heading),
@@ -468,7 +468,7 @@ def candidates_of(
     )
     swept = read_plan().sweep if given.file is None and not asked.sweep else ()
     near = [
-        near_way(site.keep_outs, planned_places(plan, site.rover)) if site.keep_outs else () for plan in found.plans
+        near_way(site.keep_outs, planned_places(plan, site.rover)) if site.keep_outs else () for plan in searched.plans
     ]
     made = tuple(
         replace(
@@ -479,9 +479,9 @@ def candidates_of(
             crs=site.terrain.crs,
             accepted_risk=risk,
         )
-        for plan, zones in zip(found.plans, near, strict=True)
+        for plan, zones in zip(searched.plans, near, strict=True)
     )
-    return found._replace(plans=made)
+    return searched._replace(plans=made)
 
 
 def drive_conditions(

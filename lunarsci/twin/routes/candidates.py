@@ -169,7 +169,7 @@ def manners(rover: Rover, start: FloatArray, goal: FloatArray) -> tuple[Manner, 
     return tuple(result)
 
 
-class Candidates(NamedTuple):
+class CandidatePlans(NamedTuple):
     """Drives to a target that differ, and why there are no more.
 
     Attributes
@@ -208,7 +208,7 @@ def candidate_plans(
     fixes: Fixes | None = None,
     most: int = MOST,
     progress: Progress | None = None,
-) -> Candidates:
+) -> CandidatePlans:
     """Drives to a target that differ, at most `most`; the first is the cheapest on the maps.
 
     Parameters
@@ -246,12 +246,12 @@ def candidate_plans(
     near = [[one for one in plans if one[0] <= LONGEST * least] for plans in by_manner]
     first = sorted((plans[0] for plans in near if plans), key=lambda one: one[0])
     rest = sorted((one for plans in near for one in plans[1:]), key=lambda one: one[0])
-    found = [plan for _, plan in (*first, *rest)]
-    return Candidates(
-        plans=tuple(found[:most]) if fixes is None else _with_fixes(found, fixes, most),
+    ordered = [plan for _, plan in (*first, *rest)]
+    return CandidatePlans(
+        plans=tuple(ordered[:most]) if fixes is None else _with_fixes(ordered, fixes, most),
         blocked=tuple(one.words for one, plans in zip(all_manners, by_manner, strict=True) if not plans),
         alike=alike,
-        costly=sum(map(len, by_manner)) - len(found),
+        costly=sum(map(len, by_manner)) - len(ordered),
     )
 
 
