@@ -176,7 +176,7 @@ def test_a_sweep_gives_no_probabilities_and_few_drives_no_trust(run, drive: Driv
     swept = tmp_path / "swept"
     assert run("twin", "predict", drive.plan, "-o", swept, "-q").code == 0
     done = run("twin", "compare", swept, drive.states, "--positions", drive.positions)
-    assert done.code == 3 and "rests on 4 drives" in done.err[-1] and "no probabilities" in done.out
+    assert done.code == 3 and "rests on 4 drives" in done.err[-1] and "not probabilities" in done.out
 
 
 def broken(drive: Drive, how: str) -> None:

@@ -134,7 +134,7 @@ def time_gaps(telemetry: Telemetry, findings: Findings) -> BoolArray:
     steps, rested = np.diff(telemetry.time_s), telemetry.rested
     usual = float(np.median(steps[~rested]))
     gaps = np.asarray((steps > GAP * usual) & ~rested)
-    what = f"nothing was sent for {steps[gaps].sum():.4g} s in all, {usual:.3g} s between rows being usual"
+    what = f"nothing was sent for {steps[gaps].sum():.4g} s in all; rows are usually {usual:.3g} s apart"
     findings.of_rows("gap", what, "there are no states within gaps", gaps, telemetry.time_s)
     return gaps
 
@@ -153,8 +153,8 @@ def steering_angles(telemetry: Telemetry, rover: Rover, findings: Findings) -> t
     for k, (wheel, rows) in enumerate(zip(rover.wheels, given.T, strict=True)):
         if not rows.any():
             raise DataError(f"{telemetry.file}: no row has a steering angle of wheel {wheel}")
-        what = f"rows without a steering angle of wheel {wheel}"
-        done = "found from the rows beside; its states are not valid there"
+        what = f"rows lack the steering angle of wheel {wheel}"
+        done = "it follows from the rows beside; its states are not valid there"
         findings.of_rows("missing steering", what, done, ~rows, telemetry.time_s)
         angle[:, k] = filled(telemetry.time_s, angle[:, k])
     return angle, given
@@ -296,10 +296,10 @@ def check_far(rows: IndexArray, telemetry: Telemetry, way_m: FloatArray, finding
         longest = int(far[np.argmax(ways[far])])
         begin, end = telemetry.time_s[ends[longest : longest + 2]]
         what = (
-            f"no position between {begin:.6g} and {end:.6g} s, {ways[longest]:.3g} m by the wheels where {usual:.2g} m "
-            "are usual"
+            f"no position between {begin:.6g} and {end:.6g} s, while the wheels roll {ways[longest]:.3g} m; "
+            f"{usual:.2g} m are usual"
         )
-        done = "slip there is told by one state or none; what it was on the way is not known"
+        done = "at most one state shows the slip there"
         findings.add("far positions", what, done, count=far.size, time_s=float(begin))
 
 
