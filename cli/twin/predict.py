@@ -37,7 +37,7 @@ EXAMPLES = (
     "lunarsci twin predict plan.toml --soil lunar-typical",
     "lunarsci twin predict plan.toml --sweep friction_angle_deg=30:50:3 \\\n  -o predicted",
 )
-ONE_SOIL = "the verdict is about this one soil; --soil priors --members 64 drives on others"
+ONE_SOIL = "the verdict is about this one soil; {} drives on others"
 HEADERS = (
     "quantity (worst of {drives})",
     "p50",
@@ -127,7 +127,7 @@ def _verdict_tables(predicted: PredictedDrives) -> list[TextTable]:
     )
     notes = [
         *predicted.soils.doubt.reasons,
-        *([ONE_SOIL] if prediction.members == 1 else []),
+        *([_one_soil(predicted)] if prediction.members == 1 else []),
         *predicted.inputs.soil_notes(prediction.members, len(prediction.parameters)),
         *_rut_notes(prediction),
         *predicted.inputs.remarks,
@@ -149,6 +149,10 @@ def _verdict_tables(predicted: PredictedDrives) -> list[TextTable]:
     return [TextTable(headers if rows else [], rows, title=title, notes=notes)]
 
 
+def _one_soil(predicted: PredictedDrives) -> str:
+    return ONE_SOIL.format("--members 64" if predicted.soils.kind == "belief" else "--soil priors --members 64")
+
+
 def _rut_notes(prediction: Prediction) -> list[str]:
     """In how many drives wheels meet ruts, where the belief leaves it open."""
     met = int(prediction.ruts.sum())
@@ -163,9 +167,14 @@ def _next(predicted: PredictedDrives) -> str:
     off, hole = states.members_off_map, states.members_in_hole
     (x0, x1), (y0, y1) = ((axis[0], axis[-1]) for axis in (terrain.x_m, terrain.y_m))
     start = f"the plan starts at x {plan.x_m:.4g} m, y {plan.y_m:.4g} m"
-    ground = f"these span x {x0:.4g} to {x1:.4g} m and y {y0:.4g} to {y1:.4g} m, and {start}"
+    inside = x0 <= plan.x_m <= x1 and y0 <= plan.y_m <= y1
+    ground = (
+        "heights that reach farther, or a way farther from their edge"
+        if inside
+        else "a plan and heights of the same place"
+    )
     parts = [
-        *([f"a plan and heights of the same place: {ground}"] if off else []),
+        *([f"{ground}: they span x {x0:.4g} to {x1:.4g} m and y {y0:.4g} to {y1:.4g} m, and {start}"] if off else []),
         *([f"heights without holes along the way, or a way round them: {start}"] if hole else []),
         *(_other_drives(predicted) if off + hole < predicted.verdict.members else []),
     ]
