@@ -42,7 +42,8 @@ twice as much moves slips by 0.07 of their errors at most, as measured."""
 MEASURED = ("fix_m", "fix_covariance_m2", "fix_shared_m2", "yaw_deg", "yaw_deg_sigma", "roll_deg", "pitch_deg")
 """Columns of `Telemetry` that are by the clock of the positions."""
 UNKNOWN_SLIP = 3.0**-0.5
-"""Standard deviation of a slip of which nothing is known but that it is -1 to 1. [-]"""
+"""Standard deviation of a slip of which nothing is known but that it is -1 to 1: half the width over the root of 3, by
+definition of a uniform distribution. [-]"""
 SLIP_FLOOR, SIDE_SLIP_FLOOR_DEG = 0.001, 0.08
 """What is left where all sensors are all but perfect, measured: 0.0005 to 0.0009 and 0.04 to 0.06 deg on six made-up
 drives over ground of 0 to 5 mm roughness; the steering's own error of 0.1 deg, of which a few rows are averaged, adds
