@@ -122,7 +122,7 @@ def _drive_table(name: str, drives: list[dict[str, Any]]) -> TextTable:
     notes += [f"driven on {'; '.join(grounds)}"] if grounds else []
     pulls = list(dict.fromkeys(drive["gravity_m_s2"] for drive in drives if drive["gravity_m_s2"]))
     notes += [f"driven under a gravity of {', '.join(f'{pull:g}' for pull in pulls)} m/s²"] if pulls else []
-    notes.append("surprise: how far the soil found lies from what was believed before; about 1 or less as expected")
+    notes.append("surprise: how far the soil lies from what was believed before; about 1 or less is expected")
     return TextTable(headers, rows, title=f"{name} rests on {counted(learned, 'drive')}", notes=notes)
 
 
