@@ -1,10 +1,12 @@
-"""Names for messages: the nearest known one to a name that is none of them, and the first of many."""
+"""Names for messages: the nearest known one to a name that is none of them, the first of many, and how many."""
 
 import difflib
 import re
 from collections.abc import Iterable, Sequence
 
 from lunarsci.errors import ParameterError
+
+PLURALS = {"spectrum": "spectra", "index": "indices"}
 
 
 def nearest(name: str, names: Iterable[str]) -> str | None:
@@ -52,6 +54,16 @@ def some_of(names: Sequence[str], most: int, between: str = ", ") -> str:
     """
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return f"{between.join(names[:most])}{more}"
+
+
+def counted(count: int, thing: str) -> str:
+    """A number of things.
+
+    >>> counted(1, "drive"), counted(81, "drive")
+    ('1 drive', '81 drives')
+    """
+    many = PLURALS.get(thing, f"{thing}s")
+    return f"{count} {thing}" if count == 1 else f"{count} {many}"
 
 
 def checked_name(name: str, names: Iterable[str], what: str) -> str:

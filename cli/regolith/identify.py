@@ -41,7 +41,7 @@ QUANTITIES = {
     "lateral_force_n": "lateral force",
 }
 """Words for measured quantities in tables."""
-NOTE = "errors are those of one state, as states scatter; how well all fix one soil: `lunarsci regolith infer`"
+NOTE = "errors are those of one state; `lunarsci regolith infer` says how well all states determine one soil"
 MANY_STATES, LEAST_SHARE = 30, 0.005
 """States beyond which the table of single ones is left out, and share of an error from which on it has a row."""
 States = Annotated[
@@ -108,7 +108,7 @@ def single_tables(soil: IdentifiedSoil, title: str) -> list[TextTable]:
     middle = f"The middle of these states, {soil.identification.draws} draws each" if states else title
     return [
         *states,
-        _site_table(soil, middle, "errors are those of one state, as states scatter", *notes),
+        _site_table(soil, middle, "errors are those of one state", *notes),
         *_shares(soil),
     ]
 

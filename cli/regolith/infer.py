@@ -161,12 +161,14 @@ def _predicted(soil: InferredSoil) -> list[TextTable]:
 
 def _combinations(posterior: SoilPosterior) -> Sequence[str]:
     """The best known directions, in words."""
+    from lunarsci.pages.words import percent
+
     lines = []
     for left, weights in posterior.combinations()[:MOST_SHOWN]:
         if left < SHOWN_SHARE:
             terms = [f"{value:+.1f} {name}" for name, value in weights.items() if abs(value) > SHOWN_WEIGHT]
             lines.append(
-                f"well-known combination: {' '.join(terms)}, each over its prior's error; "
-                f"known to {100 * left:.0f} % of the prior's width"
+                f"well-known combination: {' '.join(terms)}, each in units of its prior's error; "
+                f"it is known to {percent(left)} of the prior's width"
             )
     return lines

@@ -317,7 +317,7 @@ def field_of(report: Report, path: str, whole: Mapping[str, Any]) -> tuple[str, 
         try:
             value = _opened(_item(value, step) if _is_list(value) else value[step])
         except (KeyError, IndexError, ValueError, TypeError):
-            if isinstance(value, dict) and depth and _could_be(step, steps[:depth], top, report):
+            if (isinstance(value, dict) or _is_list(value)) and depth and _could_be(step, steps[:depth], top, report):
                 value, doubt = None, f"no '{step}' here; there is: {_names_in(value)}"
                 break
             near = meant(step, value) if isinstance(value, dict) else ""

@@ -186,7 +186,7 @@ def _end_rows(end: EndCheck | None) -> list[list[str]]:
     ]
     if end.standing is not None:
         rows.append([place, "Mahalanobis distance", f"{end.standing.distance:.2f} sd"])
-        rows.append([place, "probability of such by chance", f"{end.standing.p:.2g}"])
+        rows.append([place, "probability by chance", f"{end.standing.p:.2g}"])
         held = [f"{share} %" for share, yes in end.regions.items() if yes]
         rows.append([place, "smallest region that holds it", held[0] if held else "none up to 99 %"])
     return rows
@@ -237,7 +237,8 @@ def _band_table(judged: DriveComparison) -> TextTable:
             ]
         )
     note = (
-        "bias: measured less predicted; worth: independent values, as neighbours are alike; bands hold measured errors"
+        "bias: measured less predicted; worth: independent values among n, as neighbours are alike; bands include "
+        "errors of measurement"
     )
     return TextTable(headers, rows, title="Wheel states beside their predicted bands", notes=[note])
 
@@ -253,11 +254,14 @@ def _whole(judged: DriveComparison) -> list[str]:
         pieces = "1 piece" if whole.pieces == 1 else f"{whole.pieces} pieces"
         place = whole.standing
         lines.append(
-            f"surprise of the whole: {place.distance:.1f} sd in {place.dimensions} dimensions ({pieces} of the drive, "
-            f"{', '.join(whole.quantities)}), probability by chance {place.p:.2g}, ln density {place.ln_density:.1f}"
+            f"surprise of the whole drive: {place.distance:.1f} sd in {place.dimensions} dimensions ({pieces} of the "
+            f"drive, {', '.join(whole.quantities)}); its probability by chance is {place.p:.2g}, its ln density "
+            f"{place.ln_density:.1f}"
         )
     if (change := judged.change) is not None:
-        lines.append(f"largest change of the ground: about {change.distance_m:.1f} m on, by chance {change.p:.2g}")
+        lines.append(
+            f"the ground changes most after {change.distance_m:.1f} m; the probability by chance is {change.p:.2g}"
+        )
     return lines
 
 
@@ -284,8 +288,8 @@ def trial_tables(scored: ScoredTrials) -> list[TextTable]:
     """One row a trial, then one for each quantity over all trials."""
     record = scored.to_dict()
     notes = [
-        "error: root mean square of predicted less measured over the states, and the distance of the ends; wheels: the "
-        "same of the way that the wheels go without slip",
+        "error: root mean square of predicted less measured over the states, or the distance between the ends; wheels: "
+        "the same error of a drive without slip",
         f"predicted on soils of {record['soil']['name']} ({record['soil']['of']})",
         *([f"{made} of the trials are synthetic"] if (made := sum(trial.synthetic for trial in scored.trials)) else []),
         *(f"{trial.trial} is doubtful: {trial.doubt}" for trial in scored.trials if trial.doubt),

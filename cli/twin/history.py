@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lunarsci.names import counted
 from lunarsci.options import refuse_where
 from lunarsci.twin.jobs.requests import HistoryRequest
 
@@ -80,8 +81,8 @@ def _tables(result: BeliefHistory, save: Path | None) -> list[TextTable]:
     tables = [_drive_table(result.source.name, drives), _moved_table(drives), now, _physics_table(result.belief)]
     if result.distance is not None and result.other_source is not None:
         tables.append(_distance_table((result.source.name, result.other_source.name), result.distance))
-    if result.rolled_back is not None:
-        title = f"What was believed after {result.rollback} drive(s), written to {save}"
+    if result.rollback is not None and result.rolled_back is not None:
+        title = f"What was believed after {counted(result.rollback, 'drive')}, written to {save}"
         tables.append(parameter_table(parameter_rows(result.rolled_back), title))
     return [table for table in tables if table.rows or table.notes]
 
@@ -121,15 +122,19 @@ def _drive_table(name: str, drives: list[dict[str, Any]]) -> TextTable:
     notes += [f"driven on {'; '.join(grounds)}"] if grounds else []
     pulls = list(dict.fromkeys(drive["gravity_m_s2"] for drive in drives if drive["gravity_m_s2"]))
     notes += [f"driven under a gravity of {', '.join(f'{pull:g}' for pull in pulls)} m/s²"] if pulls else []
-    notes.append("surprise: how far the soil found lies from what was believed before; about 1 or less as expected")
-    return TextTable(headers, rows, title=f"{name} rests on {learned} drive(s)", notes=notes)
+    notes.append("surprise: how far the soil lies from what was believed before; about 1 or less is expected")
+    return TextTable(headers, rows, title=f"{name} rests on {counted(learned, 'drive')}", notes=notes)
 
 
 def _moved_table(drives: list[dict[str, Any]]) -> TextTable:
     rows = [[str(d["drive"]), *(f"{d['moved_sd'][name]:+.2f}" for name in SHORT)] for d in drives if d["moved_sd"]]
     lost = [str(d["drive"]) for d in drives if d["moved_sd"] is None]
-    older = "the file does not keep the states about drive(s)"
-    notes = [f"{older} {', '.join(lost)}, of an older version; to there is no way back"] if lost else []
+    older = "an older version wrote the file, without the states of"
+    notes = (
+        [f"{older} drive {', '.join(lost)}; there is no way back to {'it' if len(lost) == 1 else 'them'}"]
+        if lost
+        else []
+    )
     title = "How far each drive moved the parameters, in standard deviations of what was believed before"
     return TextTable(["drive", *SHORT.values()] if rows else [], rows, title=title, notes=notes)
 
@@ -152,7 +157,8 @@ def _distance_table(names: tuple[str, str], distance: BeliefDistance) -> TextTab
         for name, row in distance.parameters.items()
     ]
     one, other = distance.kullback_leibler
-    shared = f"both rest on the same first {distance.shared_drives} drive(s), and are no independent witnesses of them"
+    same = "drive" if distance.shared_drives == 1 else f"{distance.shared_drives} drives"
+    shared = f"both rest on the same first {same}, and are not independent"
     notes = [
         f"as a whole {distance.difference_sd:.2f} combined standard deviations apart; Bhattacharyya distance "
         f"{distance.bhattacharyya:.2f}; Kullback-Leibler {one:.2f} nat lost where the first stands for the second, "
@@ -196,10 +202,10 @@ def discrepancy_table(after: PhysicsDiscrepancy, before: PhysicsDiscrepancy | No
     count = len(after.scored)
     first = " and ".join(dict.fromkeys(f"{_law(FIRST, key).degrees:g}" for key in parts.values()))
     notes = [
-        f"learned from {count} drive{'s' * (count != 1)}; predictions add it to what the soil is not known for",
-        f"worth: how many drives would determine it as well; before the first drive it is {first}, from simulations",
+        f"learned from {count} drive{'s' * (count != 1)}; predictions carry it beside the uncertainty of the soil",
+        f"worth: so many drives would determine the error as well; the priors, from simulations, are worth {first}",
     ]
-    return TextTable(headers, rows, title="What the twin's physics is off by, beside the soil", notes=notes)
+    return TextTable(headers, rows, title="Error of the twin's physics, beside that of the soil", notes=notes)
 
 
 def _share(half_width: float) -> str:

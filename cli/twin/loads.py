@@ -105,9 +105,9 @@ def _notes_of_motion(result: MotionLoads) -> list[str]:
     if missing := result.missing:
         notes.insert(
             0,
-            f"the motion needs {missing['mean_ahead_n']:.2f} N ahead and {missing['mean_left_n']:.2f} N to the left "
-            f"that the wheels do not supply in the mean, {100 * missing['rms_share_of_weight']:.1f} % of the weight in "
-            "rms",
+            f"force that the wheels do not supply: {missing['mean_ahead_n']:.2f} N ahead and "
+            f"{missing['mean_left_n']:.2f} N to the left on average; as root mean square "
+            f"{100 * missing['rms_share_of_weight']:.1f} % of the weight",
         )
     return [*notes, "the terrain is synthetic"] if result.inputs.terrain.synthetic else notes
 
@@ -119,11 +119,13 @@ def _notes(result: UncertainLoads) -> list[str]:
     if "belief" not in result.given:
         notes.append("no belief is given: the soils are drawn from the priors")
     if result.states is None:
-        notes.append("no states are given: sinkages in the table are those of the assumed soil, and tell nothing of it")
+        notes.append(
+            "no states are given: the sinkages in the table follow from the assumed soil, and say nothing about it"
+        )
     elif result.turned is None:
         notes.append(
-            "errors of single pulls are one soil's, alike at all poses; `regolith identify` takes them as independent "
-            "and is too sure of what it finds, --iterate is not"
+            "errors of single pulls are alike at all poses, as the soil is one; `regolith identify` takes them as "
+            "independent, so that its errors are too small; --iterate does not"
         )
     return [*notes, "the terrain is synthetic"] if result.inputs.terrain.synthetic else notes
 
@@ -192,8 +194,8 @@ def _round_table(turned: dict[str, Any]) -> TextTable:
     headers = ["round", "soil moved [sd]", "pulls moved", "chi² sinkages", "chi² totals"]
     rounds = "1 round" if len(rows) == 1 else f"{len(rows)} rounds"
     notes = [
-        "the soil is judged by sinkages under the loads and by what all wheels pull together,",
-        "never by single pulls, which came from a soil",
+        "the soil is judged by sinkages under the loads and by the pull of all wheels together; single pulls do not "
+        "count, as they were computed from a soil",
     ]
     outcome = f"converged after {rounds}" if turned["converged"] else f"{turned['verdict']}, {rounds}"
     return TextTable(headers, rows, title=f"Forces and soil in turn: {outcome}", notes=notes)

@@ -101,6 +101,8 @@ def result_tables(survey: TerrainSurvey) -> list[TextTable]:
 
 def _choice_table(survey: ChosenDrive) -> TextTable:
     """The best candidates, one line each, best first."""
+    from lunarsci.names import counted
+
     choice = survey.choice
     shown = [one for place, one in enumerate(choice.candidates) if place < SHOWN or one.pareto]
     best, rows = choice.best, [_candidate_row(one) for one in shown]
@@ -109,21 +111,28 @@ def _choice_table(survey: ChosenDrive) -> TextTable:
     verdict = f"doubtful: {verdict}" if survey.soils.doubt else verdict
     accepted = f"{100 * choice.risk.share:g} %"
     longer = best.plan.commanded_m / max(best.length_m, 1e-9) - 1.0
-    held = f"`twin predict` holds its plan.toml against the same risk, {accepted}, which the plan carries"
+    held = f"plan.toml states the accepted risk, {accepted}, and `twin predict` judges by it"
     notes = [
         *survey.soils.doubt.reasons,
         *([] if choice.feasible else [survey.what_next]),
-        f"drive {best.number}: {100 * best.stated.risk:.1f} % fail, at most {100 * best.stated.high:.1f} %; it takes "
-        f"{best.duration_s / 60:.1f} min; worst limit at x {best.weakest.x_m:z.2f} m, y {best.weakest.y_m:z.2f} m: "
-        f"{best.weakest.why}",
-        *([f"commands are {100 * longer:.0f} % longer than its way, for the slip expected"] if longer >= 0.005 else []),
+        f"drive {best.number} fails on {_percent(best.stated.risk)} % of the soils, at most on "
+        f"{_percent(best.stated.high)} %; it takes {best.duration_s / 60:.1f} min",
+        f"its weakest place is x {best.weakest.x_m:z.2f} m, y {best.weakest.y_m:z.2f} m: {best.weakest.why}",
+        *(
+            [f"its commands are {100 * longer:.0f} % longer than its way, to make up for slip"]
+            if longer >= 0.005
+            else []
+        ),
         *([held] if choice.feasible else []),
-        "risk %: share of its drives that fail, with 95 % below that of to %; ~ not yet driven on fresh soils; m, J: "
-        "length and work of the way; limit: which is nearest, or most often broken, at so many m of the "
-        "way; m left, m right in a drive's name: how far its way lies beside the direct one",
-        f"*: no other drive is better in risk, length and energy together; drives compared: {len(choice.candidates)}; "
-        f"stopped early: {stopped}; not in this table, but in --csv: {len(choice.candidates) - len(rows)}",
-        f"end within {survey.tolerance_m:g} m of the target",
+        "risk %: share of the soils on which a drive fails; to %: the risk is below this with 95 % confidence; ~: the "
+        "drive was not tried on fresh soils",
+        "m and J: length of the way, and work of the wheels; limit: the one that most drives break, or else come "
+        "nearest to, and at m: where on the way",
+        "m left and m right: how far a way leads beside the straight line",
+        "*: no other drive has less risk, length and energy at once",
+        *([f"{counted(stopped, 'drive')} of {len(choice.candidates)} stopped early, as hopeless"] if stopped else []),
+        *([f"--csv lists {counted(more, 'drive')} more"] if (more := len(choice.candidates) - len(rows)) else []),
+        f"a drive fails that ends farther than {survey.tolerance_m:g} m from the target",
         *survey.soils.inputs.soil_notes(survey.members, 0),
         *survey.notes(),
     ]
@@ -162,8 +171,7 @@ def _path_table(survey: TerrainSurvey, path: PlannedPath) -> TextTable:
         rows = [[*row, _driven(leg)] for row, leg in zip(rows, path.plan.legs, strict=True)]
     end = path.end
     notes = [
-        f"starts at x {path.plan.x_m:z.3f} m, y {path.plan.y_m:z.3f} m, heading {path.plan.heading_deg:z.1f} deg "
-        "(--start)",
+        f"starts at x {path.plan.x_m:z.3f} m, y {path.plan.y_m:z.3f} m, heading {path.plan.heading_deg:z.1f} deg",
         f"{path.plan.length_m:.3f} m long, ends at x {end[0]:.3f} m, y {end[1]:.3f} m, "
         f"heading {math.degrees(end[2]):.1f} deg, {1e3 * path.miss_m:.1f} mm from the target",
         *_place_notes(path, survey.light()),
@@ -227,7 +235,8 @@ def _targets(planned: PlannedMission) -> TextTable:
     budget = "" if mission.time_budget_s == float("inf") else f" of {clock(mission.time_budget_s)}"
     notes = [
         *(f"{one.target.name}: {one.why}" for one in driven.targets if one.why),
-        f"takes {clock(driven.end_s)}{budget}, of which {clock(driven.waited_s)} waiting for communication",
+        f"the mission takes {clock(driven.end_s)}{budget}; for {clock(driven.waited_s)} of it the rover waits for "
+        "communication",
         *planned.soils.inputs.soil_notes(driven.safe.size, 0),
         *planned.notes(),
     ]

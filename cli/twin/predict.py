@@ -20,6 +20,7 @@ from .options import AS_WRITTEN, BEFORE, CHARGE, DRIVE, EXACT_TERRAIN, KEEP_OUT,
 if TYPE_CHECKING:
     from lunarsci.twin.jobs.predict import PredictedDrives
     from lunarsci.twin.judgement.safety import Judgement, Verdict
+    from lunarsci.twin.simulation.ensemble import Prediction
 
 
 OPTIONS = DRIVE | {
@@ -36,11 +37,7 @@ EXAMPLES = (
     "lunarsci twin predict plan.toml --soil lunar-typical",
     "lunarsci twin predict plan.toml --sweep friction_angle_deg=30:50:3 \\\n  -o predicted",
 )
-NEXT = (
-    "a short drive first, from which `twin update` learns the soil with the track's depth, halts to be localised "
-    "(--fixes), or another way (`twin plan --risk`)"
-)
-ONE_SOIL = "on this one soil; it says nothing of others: --soil priors --members 64"
+ONE_SOIL = "the verdict is about this one soil; {} drives on others"
 HEADERS = (
     "quantity (worst of {drives})",
     "p50",
@@ -130,8 +127,9 @@ def _verdict_tables(predicted: PredictedDrives) -> list[TextTable]:
     )
     notes = [
         *predicted.soils.doubt.reasons,
-        *([ONE_SOIL] if prediction.members == 1 else []),
+        *([_one_soil(predicted)] if prediction.members == 1 else []),
         *predicted.inputs.soil_notes(prediction.members, len(prediction.parameters)),
+        *_rut_notes(prediction),
         *predicted.inputs.remarks,
         *_endpoint_notes(verdict),
         *_terrain_notes(predicted),
@@ -151,17 +149,49 @@ def _verdict_tables(predicted: PredictedDrives) -> list[TextTable]:
     return [TextTable(headers if rows else [], rows, title=title, notes=notes)]
 
 
+def _one_soil(predicted: PredictedDrives) -> str:
+    return ONE_SOIL.format("--members 64" if predicted.soils.kind == "belief" else "--soil priors --members 64")
+
+
+def _rut_notes(prediction: Prediction) -> list[str]:
+    """In how many drives wheels meet ruts, where the belief leaves it open."""
+    met = int(prediction.ruts.sum())
+    if met in (0, prediction.members):
+        return []
+    return [f"in {met} of {prediction.members} drives wheels meet the ruts of others, as probably as in the last drive"]
+
+
 def _next(predicted: PredictedDrives) -> str:
     """What may help after a no-go: of drives that leave the ground that is known, where that is."""
-    states, terrain = predicted.verdict.validity, predicted.prediction.terrain
-    off = states.members_off_map + states.members_in_hole
+    states, terrain, plan = predicted.verdict.validity, predicted.prediction.terrain, predicted.prediction.plan
+    off, hole = states.members_off_map, states.members_in_hole
     (x0, x1), (y0, y1) = ((axis[0], axis[-1]) for axis in (terrain.x_m, terrain.y_m))
+    start = f"the plan starts at x {plan.x_m:.4g} m, y {plan.y_m:.4g} m"
+    inside = x0 <= plan.x_m <= x1 and y0 <= plan.y_m <= y1
     ground = (
-        f"a plan and heights of the same place: these span x {x0:.4g} to {x1:.4g} m and y {y0:.4g} to {y1:.4g} m, and "
-        f"the plan starts at x {predicted.prediction.plan.x_m:.4g} m, y {predicted.prediction.plan.y_m:.4g} m"
+        "heights that reach farther, or a way farther from their edge"
+        if inside
+        else "a plan and heights of the same place"
     )
-    parts = ([ground] if off else []) + ([NEXT] if off < predicted.verdict.members else [])
+    parts = [
+        *([f"{ground}: they span x {x0:.4g} to {x1:.4g} m and y {y0:.4g} to {y1:.4g} m, and {start}"] if off else []),
+        *([f"heights without holes along the way, or a way round them: {start}"] if hole else []),
+        *(_other_drives(predicted) if off + hole < predicted.verdict.members else []),
+    ]
     return f"what may help: {'; '.join(parts)}"
+
+
+def _other_drives(predicted: PredictedDrives) -> list[str]:
+    """What other drives may help, but for those that were made already."""
+    belief, plan = predicted.inputs.given.belief, predicted.prediction.plan
+    learned = belief is not None and bool(belief.history)
+    chosen = plan.made_for is not None and plan.accepted_risk is not None
+    return [
+        f"{'another short drive' if learned else 'a short drive first'}, from which `twin update` learns the soil with "
+        "the track's depth",
+        *([] if plan.fixes else ["halts to be localised (--fixes)"]),
+        "another target" if chosen else "another way (`twin plan --risk`)",
+    ]
 
 
 def _limit_row(limit: Judgement) -> list[str]:
@@ -188,10 +218,10 @@ def _energy_notes(predicted: PredictedDrives) -> list[str]:
     energy = energy_record(predicted.prediction)
     if energy is None:
         return []
-    most = f" (p50), {energy['p95_j']:.4g} J (95 % of drives)" if predicted.prediction.members > 1 else ""
+    most = f" (median; 95 % of the drives: at most {energy['p95_j']:.3g} J)" if predicted.prediction.members > 1 else ""
     return [
-        f"motors at the wheels: {energy['p50_j']:.4g} J{most} in {energy['duration_s']:.0f} s; "
-        "losses of motors, gears and electronics are not in it",
+        f"the motors do {energy['p50_j']:.3g} J of work at the wheels{most} in {energy['duration_s']:.0f} s; losses in "
+        "motors, gears and electronics come on top",
         *_power_notes(predicted),
     ]
 
@@ -208,23 +238,24 @@ def _power_notes(predicted: PredictedDrives) -> list[str]:
     empty = record["empty_drives"]
     assumed = " (assumed)" if "power.battery_wh" in predicted.inputs.description.assumed else ""
     return [
-        f"electrical: {record['drawn']['p50_wh']:.3g} Wh (p50), {record['drawn']['p95_wh']:.3g} Wh (95 % of drives); "
-        f"{sun}",
-        f"battery of {power.battery_wh:g} Wh{assumed}: down to {record['battery']['p50_least_wh']:.4g} Wh (p50), "
-        f"{record['battery']['p05_least_wh']:.4g} Wh (95 % of drives)"
-        + (f"; empty in {empty} of {predicted.prediction.members} drives" if empty else ""),
+        f"the rover draws {record['drawn']['p50_wh']:.3g} Wh of electrical energy (median; 95 % of the drives: at most "
+        f"{record['drawn']['p95_wh']:.3g} Wh); {sun}",
+        f"the battery of {power.battery_wh:g} Wh{assumed} falls to {record['battery']['p50_least_wh']:.3g} Wh (median; "
+        f"95 % of the drives: at least {record['battery']['p05_least_wh']:.3g} Wh)"
+        + (f"; it runs empty in {empty} of {predicted.prediction.members} drives" if empty else ""),
     ]
 
 
 def _worst_note(verdict: Verdict) -> str:
     soil = ", ".join(f"{name} {value:.4g}" for name, value in verdict.worst.parameters.items())
-    return f"worst drive: member {verdict.worst.member}{f' ({soil})' if soil else ''}, {verdict.worst.why}"
+    return f"worst drive: member {verdict.worst.member}{f' ({soil})' if soil else ''}: {verdict.worst.why}"
 
 
 def _sensitivity_tables(predicted: PredictedDrives) -> list[TextTable]:
     shares, step_error = predicted.sensitivity or [], predicted.step_error_m
     rows = [[share.parameter, f"{share.x_m:.3f}", f"{share.y_m:.3f}", f"{100 * share.share:.0f} %"] for share in shares]
-    notes = [] if step_error is None else [f"the time step puts ends off by about {1e3 * step_error:.1f} mm"]
+    step = f"the simulation's time step of {predicted.prediction.time_step_s:.2g} s moves the ends by about "
+    notes = [] if step_error is None else [f"{step}{_length(step_error)}"]
     if not rows:
         return [TextTable([], [], title=notes[0])] if notes else []
     headers = ["over the range of", "x [m]", "y [m]", "of the variance"]
@@ -235,13 +266,19 @@ def _terrain_notes(predicted: PredictedDrives) -> list[str]:
     """What errors of the terrain make of the drives."""
     shares = predicted.terrain_shares
     if shares is None:
-        return ["every drive has a ground of its own"] if predicted.prediction.draws is not None else []
+        return ["every drive has its own draw of the ground"] if predicted.prediction.draws is not None else []
     parts = {"end": shares.end, "slip": shares.slip_ratio, "tilt": shares.tilt_deg, "sinkage": shares.sinkage_m}
     of_each = ", ".join(f"{name} {100 * share:.0f} %" for name, share in parts.items() if share is not None)
     return [
-        f"every drive has a ground of its own: errors of the terrain move ends by {1e3 * shares.end_m:.0f} mm (rms), "
-        f"and are of the variance of {of_each} ({shares.pairs} pairs)"
+        f"every drive has its own draw of the ground: errors of the terrain move the ends by {_length(shares.end_m)} "
+        f"(rms), and make this part of the variance: {of_each} ({shares.pairs} pairs of drives)"
     ]
+
+
+def _length(length_m: float) -> str:
+    """An estimate that is known to two digits."""
+    factor, unit = (1e3, "mm") if length_m < 0.0995 else (1e2, "cm") if length_m < 0.995 else (1.0, "m")
+    return f"{factor * length_m:.2g} {unit}"
 
 
 def _keep_out_notes(verdict: Verdict) -> list[str]:
@@ -264,18 +301,20 @@ def _endpoint_notes(verdict: Verdict) -> list[str]:
     along, across = "far" if end.ahead_m > 0 else "short", "left" if end.left_m > 0 else "right"
     some = "" if verdict.arrived == verdict.members else f" of {arrivals(verdict.arrived, verdict.members)}"
     notes = [
-        f"ends{some}: mean {end.bias_m:.3f} m from the destination ({abs(end.ahead_m):.3f} m too {along}, "
-        f"{abs(end.left_m):.3f} m to the {across}), "
-        f"all within {end.covering_radius_m:.3f} m of it, within {end.scatter_radius_m:.3f} m of each other's middle"
+        f"the mean end{some} lies {end.bias_m:.3f} m from the destination: {abs(end.ahead_m):.3f} m too {along} and "
+        f"{abs(end.left_m):.3f} m to the {across}",
+        f"all ends lie within {end.covering_radius_m:.3f} m of the destination; the smallest circle about them has a "
+        f"radius of {end.scatter_radius_m:.3f} m",
     ]
     if (share := end.physics_share) is not None and share >= 0.005:
         notes.append(
-            f"of the variance of the ends {100 * (1 - share):.0f} % is soil, {100 * share:.0f} % what the physics "
-            "is off by; limits are held against both"
+            f"the unknown soil makes {100 * (1 - share):.0f} % of the variance of the ends, the error of the twin's "
+            f"physics {100 * share:.0f} %; the verdict includes both"
         )
     if (ellipse := end.ellipse) is not None:
         notes.append(
-            f"error ellipse: {ellipse.semi_major_m:.3f} m x {ellipse.semi_minor_m:.3f} m (1 σ), major axis at "
-            f"{round(ellipse.azimuth_deg) % 180}° from x; times {ellipse.factor_95:.2f} for 95 %, if normal"
+            f"error ellipse of the ends (1 σ): {ellipse.semi_major_m:.3f} m x {ellipse.semi_minor_m:.3f} m, its major "
+            f"axis at {round(ellipse.azimuth_deg) % 180}° from x; an ellipse {ellipse.factor_95:.2f} times as large "
+            "holds 95 % of normally distributed ends"
         )
     return notes

@@ -98,13 +98,13 @@ def _wheel_table(result: MeasuredStates, record: dict[str, Any]) -> TextTable:
     changes = record["slip_changes"]["ahead"]
     notes = [
         f"the rover drove {record['distance_m']:.3g} m in {record['duration_s']:.4g} s; its wheels rolled "
-        f"{record['wheel_distance_m']:.3g} m, an overall slip of "
+        f"{record['wheel_distance_m']:.3g} m, so that the overall slip is "
         f"{1.0 - record['distance_m'] / max(record['wheel_distance_m'], 1e-9):.3f}",
         f"{record['positions']} positions scatter about the motion with a reduced chi-square of "
         f"{record['reduced_chi_square']:.2f}",
-        f"slip varies by about {changes['amplitude']:.2g} over {changes['length_m']:.2g} m of the way, apart from "
-        f"slopes (known to a factor of {changes['amplitude_factor']:.2g})",
-        DEEPEST if record["sinkages"] else "no sinkage: give the depth of the track with --track",
+        f"beside what slopes do, slip varies by {changes['amplitude'] / changes['amplitude_factor']:.2g} to "
+        f"{changes['amplitude'] * changes['amplitude_factor']:.2g} within {changes['length_m']:.2g} m of the way",
+        DEEPEST if record["sinkages"] else _no_sinkage(result),
     ]
     if put_back := record["lag"]["put_back_s"]:
         notes.append(f"positions, headings and attitude were put back by {put_back:g} s to their wheels (--lag)")
@@ -122,19 +122,25 @@ def _wheel_table(result: MeasuredStates, record: dict[str, Any]) -> TextTable:
     return TextTable(["wheel", "states", *headers], rows, title=title, notes=notes)
 
 
+def _no_sinkage(result: MeasuredStates) -> str:
+    if result.inputs.options.get("track"):
+        return "no sinkage: no point of the track shows the depth of a wheel"
+    return "no sinkage: give the depth of the track with --track"
+
+
 def _rolling_note(result: MeasuredStates, record: dict[str, Any]) -> str:
     """Which radius slip is of, and what it would be of the shell's."""
     wheel = result.drive.rover.wheel
     rolling, shell = 1e3 * wheel.shearing_radius_m, 1e3 * wheel.radius_m
-    note = f"slip is that of the rolling radius r_s = {rolling:.4g} mm: the wheel's {shell:.4g} mm"
+    note = f"slip counts from the rolling radius r_s = {rolling:.4g} mm: the wheel's {shell:.4g} mm"
     if wheel.shearing_radius_m == wheel.radius_m:
         return note
     slips = [values["slip_ratio"]["median"] for values in record["wheels"].values() if values["slip_ratio"]["count"]]
-    part = f"{note}, and {wheel.grouser_shear_coefficient:g} of the grousers' {1e3 * wheel.grouser_height_m:.4g} mm"
+    part = f"{note} and {wheel.grouser_shear_coefficient:g} times the grousers' {1e3 * wheel.grouser_height_m:.4g} mm"
     if not slips:
         return part
     of_shell = 1.0 - (1.0 - sum(slips) / len(slips)) * rolling / shell
-    return f"{part}; of the wheel's radius alone it would be {of_shell:.3f} on average"
+    return f"{part}; counted from the wheel's radius alone, the mean slip is {of_shell:.3f}"
 
 
 def _cells(values: dict[str, Any], factor: float) -> list[str]:

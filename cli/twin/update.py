@@ -71,8 +71,8 @@ SavedTerrain = Annotated[
     ),
 ]
 EFFECTIVE = (
-    "medians and 68 % are effective values, with which the twin's law drives as the rover did; the ground's own, which "
-    "another law or instrument would find, are known less well, and cohesion least: friction makes up for it"
+    "medians and 68 % are effective values: with them the twin drives as the rover did; the ground's own values, which "
+    "another law or instrument would find, are less certain, cohesion most of all, since friction can replace it"
 )
 EXAMPLES = (
     "lunarsci twin update states/states.csv --plan plan.toml --particles 32 \\\n"
@@ -141,31 +141,32 @@ def _notes(learned: LearnedSoil) -> list[str]:
     notes = [
         f"learned from {update.learned_from}; {int(update.outliers.sum())} outliers, reduced chi-square "
         f"{update.reduced:.2f}",
-        f"surprise: the soil found lies {update.prior_shift:.2f} standard deviations from what was believed before "
-        f"(about 1 or less as expected, above {SURPRISING:.2g} look whether it is the same ground)",
+        f"surprise: the soil lies {update.prior_shift:.2f} standard deviations from what was believed before; about 1 "
+        f"or less is expected, above {SURPRISING:.2g} check whether it is the same ground",
         *learned.doubts.reasons,
         *learned.before.cautions(update),
         *_slip_notes(learned),
     ]
     notes.append(_rut_note(update))
     for name, factor in update.inflation.items():
-        notes.append(f"errors of {name} are taken {factor:.1f} times as large: no soil explains it better")
+        notes.append(
+            f"errors of {name} are taken {factor:.1f} times as large, as no soil explains the measurements better"
+        )
     for name, size in update.wheel_errors.items():
-        notes.append(f"single wheels are off in {name} by {size:.2g} throughout, which was allowed for")
+        notes.append(f"single wheels are off in {name} by {size:.2g} throughout; the errors include this")
     notes.extend(change.text for change in learned.changes)
     if learned.changes and learned.segments is None:
         notes.append("--save-map learns the soil of each stretch on its own")
     if not update.settled:
-        notes.append("the soils have not spread out; take more particles, or intervals are too narrow")
+        notes.append("the intervals may be too narrow, as too few soils were left to vary; give more --particles")
     return [*notes, *_mass_notes(learned), EFFECTIVE]
 
 
 def _rut_note(update: SoilUpdate) -> str:
     """How surely wheels ran in the ruts of others, and what that means for predictions."""
-    will = "will" if update.prediction.ruts else "will not"
     return (
-        f"wheels that follow met the ruts of those before them with a probability of {update.ruts_probability:.2g}; "
-        f"the soils are of both cases, each as probable as it is; where they are driven on, wheels {will} meet ruts"
+        f"the probability that wheels met the ruts of those before them is {update.ruts_probability:.2g}; in "
+        "predictions from this belief wheels meet ruts in as many of the drives"
     )
 
 
@@ -175,8 +176,8 @@ def _mass_notes(learned: LearnedSoil) -> list[str]:
         return []
     rover = learned.inputs.rover
     return [
-        f"stiffness and cohesion are those of a rover of {rover.mass_kg:.4g} kg, as its file says: of one heavier by a "
-        "tenth both would be larger by a tenth, and all else the same; slip, sinkage and positions do not tell the mass"
+        f"stiffness and cohesion rest on the mass in the rover file, {rover.mass_kg:.4g} kg: if the rover is 10 % "
+        "heavier, both are 10 % larger, and no other value changes; slip, sinkage and positions do not show the mass"
     ]
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from lunarsci.names import counted
 from lunarsci.pages.words import (
     DOUBT,
     GO,
@@ -12,7 +13,6 @@ from lunarsci.pages.words import (
     Result,
     ResultAnswer,
     answers,
-    counted,
     each,
     measured,
     number,

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field, replace
 from itertools import islice
 from typing import Any
 
-from lunarsci.names import some_of
+from lunarsci.names import counted, some_of
 from lunarsci.pages.documents import Document
 from lunarsci.pages.rock_answers import standing_of
-from lunarsci.pages.words import MOST, counted, heard_of, measured, number, percent, unit, words
+from lunarsci.pages.words import MOST, heard_of, measured, number, percent, unit, words
 from lunarsci.regolith.jobs.identify import alone_title
 from lunarsci.result import AS_PRIOR, doubt_about, from_prior
 from lunarsci.spectra.jobs.bands import METHODS, SHORT, regression

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from lunarsci.minerals import WEIGHED
-from lunarsci.names import some_of
-from lunarsci.pages.words import Result, ResultAnswer, answers, counted, each, measured, number, percent, sentence
+from lunarsci.names import counted, some_of
+from lunarsci.pages.words import Result, ResultAnswer, answers, each, measured, number, percent, sentence
 from lunarsci.provenance import plain
 from lunarsci.result import FINE
 from lunarsci.spectra.band_status import DEPENDS

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias, TypeVar
 
 from lunarsci.figure import FIRST_PAGE
+from lunarsci.names import counted
 from lunarsci.units import ENDS, unit_of
 
-PLURALS = {"spectrum": "spectra", "index": "indices"}
 ASTROPY = {"pix": "px", "m2": "m²", "1 / m": "1/m", "deg / s": "°/s", "m / s": "m/s", "deg": "°", "N m": "N m"}
 LARGE = 1e9
 """Numbers below it are written without an exponent."""
@@ -138,12 +138,6 @@ def percent(share: Any) -> str:
         return "an unknown share"
     whole = 100 * share
     return f"{whole:.0f} %" if whole == 0 or whole >= 1 else f"{whole:.1g} %"
-
-
-def counted(count: int, thing: str) -> str:
-    """`1 drive`, `81 drives`."""
-    many = PLURALS.get(thing, f"{thing}s")
-    return f"{count} {thing}" if count == 1 else f"{count} {many}"
 
 
 GO, STOP, DOUBT, PLAIN = "go", "no-go", "doubt", "plain"

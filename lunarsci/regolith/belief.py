@@ -19,7 +19,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import ParameterError, named
 from lunarsci.io.documents import json_document
 from lunarsci.io.inputs import InputFile, read_json, text
@@ -155,6 +155,8 @@ class SoilBelief:
     population : transforms drawn from the belief where it is not normal; mean and covariance are theirs. (d, p)
     verdict : of the fit to wheel states that it comes from, None where it does not.
     discrepancy : what drives are off by beside the soil; that of no drive where a file has none.
+    meets_ruts : of each draw of the population, whether it is of the case that wheels meet the ruts of others; None
+        where that is not kept. (d,)
 
     Raises ParameterError for a covariance that is not symmetric and positive definite.
     """
@@ -167,6 +169,7 @@ class SoilBelief:
     population: FloatArray | None = field(default=None, repr=False)
     verdict: FitVerdict | None = None
     discrepancy: PhysicsDiscrepancy = FIRST
+    meets_ruts: BoolArray | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         size, draws = len(self.names), np.zeros((0, len(self.names))) if self.population is None else self.population
@@ -177,6 +180,8 @@ class SoilBelief:
         finite = all(np.isfinite(numbers).all() for numbers in (self.mean, self.covariance, draws))
         refuse({f"a belief needs finite numbers, and {size} for each draw of its population":
                 draws.ndim != 2 or draws.shape[1] != size or not finite})  # fmt: skip
+        refuse({"a belief keeps of each draw of its population whether it meets ruts, or of none":
+                self.meets_ruts is not None and self.meets_ruts.shape != draws.shape[:1]})  # fmt: skip
         scale = np.sqrt(np.abs(np.diag(self.covariance)))
         scaled = self.covariance / np.outer(scale, scale)
         definite = (np.abs(scaled - scaled.T) <= ASYMMETRY).all() and np.linalg.eigvalsh(scaled)[0] > 0
@@ -211,7 +216,9 @@ class SoilBelief:
         covariance = np.diag(np.concatenate([np.zeros(size), widths**2]))
         covariance[:size, :size] = self.covariance
         mean = np.concatenate([self.mean, centers])
-        return replace(self, laws={**self.laws, **laws}, mean=mean, covariance=covariance, population=None)
+        return replace(
+            self, laws={**self.laws, **laws}, mean=mean, covariance=covariance, population=None, meets_ruts=None
+        )
 
     def samples(self, transforms: FloatArray) -> dict[str, FloatArray]:
         """Parameters in their units, each (n,), from transforms (n, p)."""
@@ -219,9 +226,10 @@ class SoilBelief:
         return {name: values[:, k] for k, name in enumerate(self.names)}
 
     @property
-    def ruts(self) -> bool:
-        """Whether its values are those with which wheels that follow meet the ruts of others, as in its last drive."""
-        return bool(self.history and self.history[-1].get("ruts", False))
+    def ruts(self) -> float:
+        """Probability that wheels that follow meet the ruts of others, by its last drive. [-]"""
+        last = self.history[-1] if self.history else {}
+        return float(last.get("ruts_probability", last.get("ruts", False)))
 
     @property
     def doubt(self) -> str:
@@ -294,6 +302,13 @@ class SoilBelief:
             drawn = drawn + shift + np.sqrt(extra) * noise
         return replace(self, mean=self.mean + shift, covariance=self.covariance + np.diag(extra), population=drawn)
 
+    def draws_with_ruts(self, count: int, seed: int = 0) -> BoolArray:
+        """Whether wheels meet ruts with each of `draws`: as in its population, or as probably. (count,)"""
+        if self.population is not None and self.meets_ruts is not None:
+            return self.meets_ruts[np.resize(np.random.default_rng(seed).permutation(len(self.population)), count)]
+        order = np.random.default_rng([seed, 31]).permutation(count)
+        return np.asarray(order < round(self.ruts * count))
+
     def draws(self, count: int, seed: int = 0) -> dict[str, FloatArray]:
         """Soils drawn from the belief, by parameter in its unit: its population, in turn, or a normal law. (count,)"""
         random = np.random.default_rng(seed)
@@ -332,6 +347,7 @@ class SoilBelief:
             "covariance": self.covariance.tolist(),
             "history": [dict(entry) for entry in self.history],
             "population": None if self.population is None else self.population.tolist(),
+            "meets_ruts": None if self.meets_ruts is None else self.meets_ruts.tolist(),
             "discrepancy": self.discrepancy.to_dict(),
         }
         if self.verdict is not None:
@@ -385,7 +401,9 @@ def belief_of(document: Mapping[str, Any]) -> SoilBelief:
         drawn, history = document.get("population"), tuple(document.get("history", ()))
         population = None if drawn is None else np.array(drawn, dtype=np.float64)
         verdict, discrepancy = verdict_of(document.get("verdict")), PhysicsDiscrepancy.of(document.get("discrepancy"))
-        belief = SoilBelief(laws, mean, covariance, history, population, verdict, discrepancy)
+        met = document.get("meets_ruts")
+        ruts = None if met is None or population is None else np.array(met, dtype=np.bool_)
+        belief = SoilBelief(laws, mean, covariance, history, population, verdict, discrepancy, ruts)
         refuse(_unlikely(belief))
         return belief
 

@@ -325,7 +325,9 @@ def _over_corners(corners: Sequence[Estimate]) -> Estimate:
     if len(corners) == 1 or not (low and high):
         return corners[0]
     solved = min(estimate.solved for estimate in corners)
-    return Estimate(None, None, min(low), max(high), solved, reason="depends on the assumed K_y; the range spans them")
+    return Estimate(
+        None, None, min(low), max(high), solved, reason="depends on the assumed K_y; the range covers these"
+    )
 
 
 def _unsolved(states: WheelStates, site: dict[str, Estimate]) -> tuple[str, ...]:

@@ -109,7 +109,7 @@ def by_risk(one: Errand, risk: float) -> Proposal:
     """The choice of `twin plan --risk`: candidates driven over the believed soils, the best again on fresh ones."""
     end = Limit("endpoint_miss_m", "m", TOLERANCE_M, "tolerance of the errand", False)
     try:
-        plans = candidate_plans(one.surface, one.rover, one.start, one.target, limits=(*one.limits, end))
+        plans = candidate_plans(one.surface, one.rover, one.start, one.target, limits=(*one.limits, end)).plans
     except ParameterError as error:
         return Proposal(plan=None, promised=0.0, reason=str(error))
     conditions = Conditions(

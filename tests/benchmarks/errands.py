@@ -138,6 +138,7 @@ def _as_prediction(one: Errand, plan: Plan, driven: "quasi_static.Driven") -> Pr
         planned=np.zeros((samples, 3)),
         paths=driven.poses[None],
         states=driven.states[None],
+        ruts=np.zeros(1, dtype=bool),
         halted=np.zeros(samples, dtype=bool),
         recorded=np.array([samples]),
         outcome=np.zeros(1, dtype=np.int64),

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -66,6 +67,34 @@ def test_a_start_beside_the_terrain_is_said_and_no_soil_is_blamed(run, tmp_path:
     done = run("twin", "predict", beside)
     advice = next(line for line in done.out.splitlines() if line.startswith("what may help: "))
     assert done.code == 3 and "the plan starts at x -500 m, y 0 m" in advice and "twin update" not in advice
+    assert "a plan and heights of the same place" in advice
+    for name, code in (("limits.slip_ratio.margin", 3), ("limits.slip_rato.margin", 2)):
+        assert run("twin", "predict", beside, "--field", f"result.{name}").code == code
+
+
+def test_a_start_in_a_hole_is_said_to_need_heights(run, tmp_path: Path) -> None:
+    ground, plan = tmp_path / "holed.npz", tmp_path / "plan.toml"
+    x = np.arange(-3.0, 3.01, 0.1)
+    np.savez(ground, x_m=x, y_m=x, height_m=np.where(np.hypot(x, x[:, None]) < 1.0, np.nan, 0.0))
+    plan.write_text(PLAN)
+    done = run("twin", "predict", plan, "--terrain", ground, "--soil", "longji")
+    advice = next(line for line in done.out.splitlines() if line.startswith("what may help: "))
+    assert done.code == 3 and "heights without holes along the way" in advice and "same place" not in advice
+
+
+def test_advice_is_not_what_was_done_already(run, plan: Path, tmp_path: Path) -> None:
+    """One soil of the priors asks for more of them; a drive off the map from within for a larger map, and halts."""
+    assert "one soil; --members 64 drives" in run("twin", "predict", plan, "--soil", "priors", "--members", "1").out
+    ground, leaving = tmp_path / "flat.npz", tmp_path / "leaving.toml"
+    x = np.arange(-3.0, 3.01, 0.1)
+    np.savez(ground, x_m=x, y_m=x, height_m=np.zeros((x.size, x.size)))
+    leaving.write_text("[start]\nx_m = 2.2\n" + PLAN)
+    done = run("twin", "predict", leaving, "--terrain", ground)
+    advice = next(line for line in done.out.splitlines() if line.startswith("what may help: "))
+    assert done.code == 3 and "heights that reach farther" in advice
+    weak = ("twin", "predict", "--sweep", "friction_angle_deg=8:9:2")
+    for more, halts in (((), True), (("--fixes", "0.05,0.5"), False)):
+        assert ("halts to be localised" in run(*weak, *more).out) == halts
 
 
 @pytest.mark.parametrize("name", ["drive.bmp", "drive"])

@@ -176,7 +176,7 @@ def test_a_sweep_gives_no_probabilities_and_few_drives_no_trust(run, drive: Driv
     swept = tmp_path / "swept"
     assert run("twin", "predict", drive.plan, "-o", swept, "-q").code == 0
     done = run("twin", "compare", swept, drive.states, "--positions", drive.positions)
-    assert done.code == 3 and "rests on 4 drives" in done.err[-1] and "no probabilities" in done.out
+    assert done.code == 3 and "rests on 4 drives" in done.err[-1] and "not probabilities" in done.out
 
 
 def broken(drive: Drive, how: str) -> None:
@@ -222,7 +222,7 @@ def test_another_plan_rover_or_clock_is_refused(run, drive: Drive, tmp_path: Pat
     other.write_text(PLAN.replace("300:600:4", "100:900:9") + "[limits]\nslip_ratio = 0.5\n")
     assert run(*drive.arguments(), "--plan", other).code == 0
     done = run(*drive.arguments(), "--rover", "small-four")
-    assert done.code == 1 and "give the same --rover" in done.err[0]
+    assert done.code == 1 and "give that file as --rover" in done.err[0]
     four = tmp_path / "four"
     assert run("twin", "predict", drive.plan, "--rover", "small-four", "-o", four).code in (0, 3)
     table = pd.read_csv(four / "states.csv")

@@ -41,7 +41,7 @@ def test_forces_of_several_soils_count_alike(run, plan: Path) -> None:
 def test_a_motion_is_explained_by_its_soil_and_not_by_another(run, plan: Path, tmp_path: Path) -> None:
     folder = tmp_path / "drive"
     predicted = run("twin", "predict", plan, "--soil", "longji", "-o", folder)
-    assert predicted.code == 0 and "on this one soil; it says nothing of others" in predicted.out
+    assert predicted.code == 0 and "the verdict is about this one soil" in predicted.out
     assert "95 % of drives" not in predicted.out and "p50" not in predicted.out, predicted.out
     motion = ("twin", "loads", plan, "--motion", folder / "paths.csv")
     done = run(*motion, "--json")
@@ -122,7 +122,7 @@ def test_a_belief_may_be_the_soil(run, plan: Path, tmp_path: Path) -> None:
         assert soil.items() >= {"belief": str(belief), "drives": 0, "learned_from": 0, "of": "belief"}.items()
         assert soil["parameters"] == {} and len(soil["drawn"]) == 8 and document["provenance"]["options"]["soil"]
         assert str(belief) in {file["path"] for file in document["provenance"]["inputs"]}
-        assert "rests on no drive yet" in run("twin", command, plan, "--soil", belief, "--members", "8").out
+        assert "(before any drive)" in run("twin", command, plan, "--soil", belief, "--members", "8").out
         for other in (("--sweep", "cohesion_pa=1:2:2"), ("--soil", belief)):
             wrong = run("twin", command, plan, "--soil", belief, *other)
             assert wrong.code == 2 and "give one" in wrong.err[0]

@@ -125,11 +125,15 @@ def test_the_doubt_of_a_drive_stays_with_the_belief_to_the_report(run, tmp_path:
 def test_ruts_are_driven_as_options_and_belief_say(run, short_plan: Path, tmp_path: Path) -> None:
     """Asked for, met by the belief's last drive, or left by a plan that was driven before."""
     quick = ("--time-step", "0.2", "--json")
-    met, none = (tmp_path / name for name in ("met.json", "none.json"))
+    met, none, half = (tmp_path / name for name in ("met.json", "none.json", "half.json"))
     first = first_belief()
-    for path, ruts in ((met, True), (none, False)):
+    for path, ruts in ((met, 1.0), (none, 0.0), (half, 0.5)):
         entry = {"states": "a.csv", "sha256": "0" * 64, "plan": "a", "values": 9, "outliers": 0, "chi_square": 9.0}
-        path.write_text(with_drive(first, first, entry | {"surprise": 0.1, "refused": "", "ruts": ruts}).to_json())
+        path.write_text(
+            with_drive(
+                first, first, entry | {"surprise": 0.1, "refused": "", "ruts": ruts > 0.5, "ruts_probability": ruts}
+            ).to_json()
+        )
 
     def driven(*more: object) -> tuple[Any, Any, float]:
         done = run("twin", "predict", short_plan, *quick, *more)
@@ -147,6 +151,8 @@ def test_ruts_are_driven_as_options_and_belief_say(run, short_plan: Path, tmp_pa
     assert plain[2] < ruts[2] < back[2]
     assert [driven("--soil", path, "--members", "4")[0] for path in (met, none)] == [True, False]
     assert driven("--soil", met, "--members", "4", "--no-ruts")[0] is False
+    both = run("twin", "predict", short_plan, "--soil", half, "--members", "12", "--field", "ruts_share", "-q")
+    assert float(both.out) == 0.5
     idle = run("twin", "predict", short_plan, "--before", short_plan, "--no-ruts")
     assert idle.code == 2 and "--ruts are left out" in idle.err[0]
 
@@ -314,7 +320,7 @@ def test_a_first_drive_is_predicted_on_the_priors(run, short_plan: Path, tmp_pat
     assert run("template", "prior", "-o", prior).code == 0
     predict = ("twin", "predict", short_plan, "--rover", "small-four", "--members", "4", "--soil")
     named, of_file = (run(*predict, soil) for soil in ("priors", prior))
-    assert named.code in (0, 3) and "on the priors" in " ".join(named.out.split())
+    assert named.code in (0, 3) and "soil: 4 drawn from priors (before any drive)" in " ".join(named.out.split())
     shown = [done.out[: done.out.index("soil: 4 drawn")] for done in (named, of_file)]
     assert shown[0] == shown[1]
     where = ("--start", "0,0,0", "--target", "3,0", "-o", tmp_path / "way")

@@ -82,6 +82,19 @@ def test_beyond_the_loads_that_taught_it_a_belief_goes_over_to_the_ground_itself
     assert forgot.loads_n == (2.0, 3.0)
 
 
+def test_soils_are_driven_with_ruts_as_they_were_learned_with_them(belief: SoilBelief) -> None:
+    """Draws keep their case, from memory and from the file; a normal law has as many as are probable."""
+    normal = dataclasses.replace(belief, history=({"ruts": True, "ruts_probability": 0.75},), population=None)
+    assert normal.draws_with_ruts(64).sum() == 48 and normal.ruts == 0.75
+    points = belief.mean + np.linspace(-1.0, 1.0, 40)[:, None] * belief.sd
+    kept = dataclasses.replace(normal, population=points, meets_ruts=points[:, 0] > belief.mean[0])
+    for one in (kept, belief_of(json.loads(kept.to_json()))):
+        drawn, met = one.draws(100, seed=3), one.draws_with_ruts(100, seed=3)
+        middle = belief.samples(belief.mean[None])[belief.names[0]][0]
+        assert np.array_equal(met, drawn[belief.names[0]] > middle) and 0 < met.sum() < 100
+    assert kept.forgotten(0.5).meets_ruts is None
+
+
 def test_forgetting_goes_from_the_belief_to_the_first_laws(belief: SoilBelief) -> None:
     first = first_belief()
     assert np.array_equal(belief.forgotten(0.0).mean, belief.mean)

@@ -407,12 +407,12 @@ def _drives(record: DriveRecord, update: SoilUpdate) -> tuple[FloatArray, FloatA
     # A hair more than the steps that were made: asked for exactly these, rounding might make one more.
     sample_m = min(float(drive.time_s[1]) * plan.speed_m_s * (1 + 1e-9), LONGEST_SAMPLE_M)
     step = min(drive.time_step_s * (1 + 1e-9), LONGEST_STEP_S)
-    count, scene = len(PARAMETERS), (drive.rover, drive.terrain, plan)
-    moved = predict(*scene, samples=samples, time_step_s=step, sample_m=sample_m, ruts=drive.ruts)
+    count, scene, met = len(PARAMETERS), (drive.rover, drive.terrain, plan), bool(drive.ruts.all())
+    moved = predict(*scene, samples=samples, time_step_s=step, sample_m=sample_m, ruts=met)
     states = _states(moved, record)
     slopes = (states[:count] - states[count:]) / (2.0 * NUDGE)
     arrived = moved.finished[:count] & moved.finished[count:]
-    fine = predict(*scene, samples=drive.parameters, time_step_s=step * FINER, sample_m=sample_m, ruts=drive.ruts)
+    fine = predict(*scene, samples=drive.parameters, time_step_s=step * FINER, sample_m=sample_m, ruts=met)
     finer = (_states(fine, record) - _states(drive, record))[0] * fine.finished[0]
     return np.moveaxis(np.where(arrived[:, None, None], slopes, 0.0), 0, -1), finer
 
@@ -545,7 +545,7 @@ def drive_segments(
             *(rover, terrain, plan, states, before),
             particles=particles,
             seed=seed,
-            ruts=update.prediction.ruts,
+            ruts=bool(update.prediction.ruts.all()),
             wheel=False,
             progress=progress,
         )

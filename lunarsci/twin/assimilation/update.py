@@ -262,10 +262,10 @@ def assimilate(
     refused = _refusal(posterior.drive, int(outliers.sum()), wheels, expected, best)
     learned, left = belief, 0.0
     if not refused:
-        points, left = _drawn(fits, particles, random, progress)
+        points, met, left = _drawn(fits, particles, random, progress)
         discrepancy = _taught(belief.discrepancy, posterior.drive, expected, best) if teach else belief.discrepancy
         moments = (points.mean(axis=0), np.cov(points.T))
-        learned = SoilBelief(prior.laws, *moments, belief.history, points, belief.verdict, discrepancy)
+        learned = SoilBelief(prior.laws, *moments, belief.history, points, belief.verdict, discrepancy, met)
     moved = (posterior.coordinates.transforms(mode.point) if refused else learned.mean) - prior.mean
     moved = moved[: len(PARAMETERS)]
     return SoilUpdate(
@@ -311,17 +311,20 @@ def _drawn(
     particles: int,
     random: np.random.Generator,
     progress: Callable[[int, int], None] | None,
-) -> tuple[FloatArray, float]:
-    """Draws of all fits, of each as many as it is probable; transforms (particles, p), and the largest correlation."""
+) -> tuple[FloatArray, BoolArray, float]:
+    """Draws of all fits, of each as many as it is probable: transforms (particles, p), whether they meet ruts
+    (particles,), and the largest correlation.
+    """
     counts = [round(fit.probability * particles) for fit in fits]
-    parts, left = [], 0.0
+    parts, met, left = [], list[bool](), 0.0
     for fit, count in zip(fits, [particles - sum(counts[1:]), *counts[1:]], strict=True):
         if count:
             enough = max(count, FEWEST_PARTICLES)
             drawn, correlation = draw_particles(fit.posterior, fit.mode, enough, random, progress)
             parts.append(fit.posterior.coordinates.transforms(drawn[:count]))
+            met += count * [fit.posterior.drive.ruts]
             left = max(left, correlation)
-    return np.vstack(parts), left
+    return np.vstack(parts), np.array(met), left
 
 
 def _best_soil(
@@ -473,10 +476,10 @@ class SlipLean:
         if counted.sum() < least or result.refused:
             return None
         soils = result.belief.draws(LEAN_SOILS)
+        ruts = best.ruts if result.belief.meets_ruts is None else result.belief.draws_with_ruts(LEAN_SOILS)
         driven = predict(
-            best.rover, best.terrain, best.plan, samples=soils, time_step_s=STEP_S, sample_m=SAMPLE_M, ruts=best.ruts
+            best.rover, best.terrain, best.plan, samples=soils, time_step_s=STEP_S, sample_m=SAMPLE_M, ruts=ruts
         )
-
         states = states_at(record, driven.time_s, driven.states[driven.finished], best.rover.wheels)
         slips = np.median(states[:, counted, column], axis=1)
         return cls(
@@ -515,8 +518,8 @@ class SlipLean:
         """Both medians and the error of their difference, and why tables of predictions show more."""
         result = f"{self.measured:.3f} measured, {self.simulated:.3f} predicted from what is believed now"
         return (
-            f"{self.stretch}median slip ratio: {result}; standard error of the difference "
-            f"{self.error:.3f}; `twin predict` lists the largest of each drive"
+            f"{self.stretch}median slip ratio: {result}; the difference has a standard error of {self.error:.3f}; "
+            "`twin predict` lists the largest slip of each drive, which is more"
         )
 
     def to_dict(self) -> dict[str, float | bool]:

@@ -500,16 +500,20 @@ def _near(
         least = min(1.0 if single is None else single.p, 1.0 if coverage is None else coverage.p.get(name, 1.0))
         if least < BORDERLINE and check.bias_standard is not None:
             near.append(
-                f"{name} is off by {check.bias:+.3g} in the mean ({check.bias_standard:+.2f} sd), "
-                f"{100 * (check.coverage_90 or 0.0):.0f} % in 90 % bands, by chance {_small(least)}"
+                f"{name} is off by {check.bias:+.3g} in the mean ({check.bias_standard:+.2f} sd), and "
+                f"{100 * (check.coverage_90 or 0.0):.0f} % of its values lie in their 90 % bands; probability by "
+                f"chance {_small(least)}"
             )
     if end is not None and end.standing is not None and end.standing.p < BORDERLINE:
         near.append(
-            f"the end is {end.error_m:.3f} m from the middle ({end.standing.distance:.2f} sd), "
-            f"by chance {_small(end.standing.p)}"
+            f"the end lies {end.error_m:.3f} m from the middle of the predicted ({end.standing.distance:.2f} sd); "
+            f"probability by chance {_small(end.standing.p)}"
         )
     if not near and whole is not None and whole.standing.p < BORDERLINE:
-        near.append(f"the drive as a whole, {whole.standing.distance:.2f} sd, by chance {_small(whole.standing.p)}")
+        near.append(
+            f"the drive as a whole lies {whole.standing.distance:.2f} sd from the predicted; probability by chance "
+            f"{_small(whole.standing.p)}"
+        )
     return near
 
 
@@ -517,12 +521,13 @@ def _whole_reasons(whole: Surprise | None, change: GroundChange | None) -> list[
     reasons = []
     if whole is not None and whole.standing.p < ALARM:
         reasons.append(
-            f"the drive as a whole is none of those that were predicted: {whole.standing.distance:.1f} standard "
-            f"deviations from them in {whole.standing.dimensions} dimensions, p {_small(whole.standing.p)}"
+            f"the drive as a whole lies {whole.standing.distance:.1f} standard deviations from those that were "
+            f"predicted, in {whole.standing.dimensions} dimensions; probability by chance {_small(whole.standing.p)}"
         )
     if change is not None and change.p < ALARM_OF_CHANGE:
         reasons.append(
-            f"the ground seems to change about {change.distance_m:.1f} m from the start, p {_small(change.p)}"
+            f"the ground seems to change about {change.distance_m:.1f} m from the start; probability by chance "
+            f"{_small(change.p)}"
         )
     return reasons
 
@@ -537,8 +542,8 @@ def _notes(matched: MatchedObservations, end: EndCheck | None, whole: Surprise |
         notes.append("the terrain is synthetic")
     if forecast.soils in ("sweep", "one"):
         notes.append(
-            "the prediction swept ranges of the soil and did not draw from a belief: its regions and shares are those "
-            "of the ranges, no probabilities; predict with --soil BELIEF.json"
+            "the prediction swept ranges of the soil and did not draw from a belief: its regions and shares are "
+            "shares of these ranges, not probabilities; predict with --soil BELIEF.json"
         )
     lost = forecast.members - len(matched.members)
     if lost:

@@ -166,6 +166,7 @@ def replayed(
         halted=halted,
         recorded=results[:, 1],
         outcome=results[:, 0],
+        ruts=np.zeros(len(overrides), dtype=np.bool_),
         finer=finer,
         draws=draws,
     )

@@ -25,11 +25,12 @@ from lunarsci.twin.jobs.drive_inputs import DriveInputs, Soils, parsed_fixes
 from lunarsci.twin.jobs.requests import GroundRequest, PlanRequest, _numbers
 from lunarsci.twin.jobs.terrain import SurveyedSite, TerrainSurvey, light_of, read_site
 from lunarsci.twin.judgement.choice import Conditions, DriveChoice, choose, making_up_for_slip
+from lunarsci.twin.judgement.safety import percent
 from lunarsci.twin.plans.made_for_check import limits_of_rover
 from lunarsci.twin.plans.path import poses_along
 from lunarsci.twin.plans.plan import Limit, Plan, plan_text, read_limits, read_plan
 from lunarsci.twin.plans.risk import AcceptedRisk
-from lunarsci.twin.routes.candidates import MOST, candidate_plans
+from lunarsci.twin.routes.candidates import MOST, CandidatePlans, candidate_plans
 from lunarsci.twin.routes.long_way import LONG_M
 from lunarsci.twin.routes.planner import PATH_STEP_M, PlannedPath, RouteSearch, measured_path, search_margin_m
 from lunarsci.twin.simulation.ensemble import PowerState, member_parameters
@@ -236,6 +237,7 @@ class ChosenDrive(TerrainSurvey):
     choice : the candidates, best first.
     tolerance_m : distance of the end from the target that counts as there. [m]
     ground : what is driven on, where that is not the site's terrain alone.
+    few : why there are fewer candidates than were asked for; '' where there are not.
     members : soils by which drives are chosen; the promises are of `fresh_members` others.
     """
 
@@ -246,6 +248,7 @@ class ChosenDrive(TerrainSurvey):
     members: int
     fresh_members: int
     ground: Terrain | None = None
+    few: str = ""
 
     @property
     def made_from(self) -> MadeFrom:
@@ -268,9 +271,17 @@ class ChosenDrive(TerrainSurvey):
         best, choice = self.choice.best, self.choice
         broken = ", ".join(one.short for one in best.broken)
         return (
-            f"no drive keeps a risk of {choice.risk.share:.3g}, so there is no plan.toml: drive {best.number}, the "
-            f"safest of {len(choice.candidates)}, fails with {best.stated.risk:.2g} ({best.stated.low:.2g} to "
-            f"{best.stated.high:.2g}): {broken}"
+            f"no drive keeps a risk of {100 * choice.risk.share:g} %, so there is no plan.toml; drive {best.number}, "
+            f"the safest of {len(choice.candidates)}, fails on {percent(best.stated.risk)} of the soils "
+            f"({percent(best.stated.low)} to {percent(best.stated.high)}): {broken}"
+        )
+
+    @property
+    def scouting(self) -> str:
+        """A drive that would teach the soil, where the belief has learned from others or from none."""
+        belief = self.soils.inputs.given.belief
+        return (
+            "another short drive near the start" if belief and belief.history else "a short drive near the start first"
         )
 
     @property
@@ -280,7 +291,7 @@ class ChosenDrive(TerrainSurvey):
         broken = {one.quantity for one in self.choice.best.broken}
         help_for = {
             "another target, or ground that is less steep or less soft": soil | {"tilt_deg", "clearance_m"},
-            "a short drive near the start first, from which `twin update` learns the soil": soil | {"endpoint_miss_m"},
+            f"{self.scouting}, from which `twin update` learns the soil": soil | {"endpoint_miss_m"},
             "--fixes, a nearer target or a wider --tolerance": {"endpoint_miss_m", "keep_out_m"},
             "more charge or Sun": {"battery_charge"},
         }
@@ -289,8 +300,8 @@ class ChosenDrive(TerrainSurvey):
             advice = advice.replace("--fixes, ", "")
         names = ", ".join(f"plan-{one.number:02d}.toml" for one in self.choice.front)
         return (
-            f"what may help: {advice or 'another target'}, or a higher --risk; with -o DIR the drives that no other "
-            f"beats are there as {names}: `twin predict` says more of them"
+            f"what may help: {advice or 'another target'}, or a higher --risk; `twin predict` says more of the drives "
+            f"that no other beats, which -o DIR writes as {names}"
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -344,12 +355,13 @@ class ChosenDrive(TerrainSurvey):
     def notes(self) -> list[str]:
         """What there is to say about ground and soils."""
         kind = self.soils.kind
-        counted = "shares of the ranges, not probabilities, " if kind == "sweep" else ""
-        fresh = f"{self.fresh_members} fresh soils" if self.choice.fresh else "the same soils: there are no others"
+        ranges = "shares of the ranges, not probabilities, " if kind == "sweep" else ""
+        fresh = f"{self.fresh_members} fresh ones" if self.choice.fresh else "the same ones: there are no others"
         return [
+            *([self.few] if self.few else []),
             *TerrainSurvey.notes(self),
-            f"risks are {counted}counted on {self.members} soils, promised ones on {fresh}; bounds reflect "
-            "the number of drives alone, not errors of soils, ground and physics beyond what is drawn",
+            f"risks are {ranges}counted on {self.members} soils, those of the best drives on {fresh}; the bounds "
+            "include the number of drives alone, and no error of soil, ground or physics beyond what is drawn",
         ]
 
 
@@ -366,7 +378,7 @@ def _row(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def chosen_drive(terrain: str | None, asked: PlanRequest, risk: AcceptedRisk, progress: Progress | None) -> ChosenDrive:
-    """Candidates to the target, driven over the soils that are believed, and the one to take.
+    """CandidatePlans to the target, driven over the soils that are believed, and the one to take.
 
     Raises DataError, RequestError, and ParameterError where no path leads there.
     """
@@ -383,7 +395,8 @@ def chosen_drive(terrain: str | None, asked: PlanRequest, risk: AcceptedRisk, pr
     check_soils(asked, given)
     (x0, y0, heading), (x, y, *_) = places_of(asked)
     search = RouteSearch.of(surface, site.rover, (x0, y0, heading), (x, y), final_heading_deg(asked))
-    plans: Sequence[Plan] = candidates_of(asked, site, search, given, risk, progress, ground)
+    candidates = candidates_of(asked, site, search, given, risk, progress, ground)
+    plans: Sequence[Plan] = candidates.plans
     soils, conditions, members = drive_conditions(asked, site, given, plans, ground)
     plans = making_up_for_slip(plans, conditions, members, progress)
     choice = choose(plans, conditions, risk=risk, prefer=asked.prefer, members=members, progress=progress)
@@ -394,7 +407,9 @@ def chosen_drive(terrain: str | None, asked: PlanRequest, risk: AcceptedRisk, pr
     fresh = conditions.members - members
     return ChosenDrive(
         site=site, surface=local.surface, path=path, soils=soils, choice=choice, tolerance_m=tolerance,
-        members=members, fresh_members=fresh, ground=ground, checked=() if path is None else local.checked(path),
+        members=members, fresh_members=fresh, ground=ground,
+        few="" if len(plans) >= (asked.candidates or MOST) else candidates.why_no_more,
+        checked=() if path is None else local.checked(path),
     )  # fmt: skip
 
 
@@ -429,7 +444,7 @@ def candidates_of(
     risk: AcceptedRisk,
     progress: Progress | None = None,
     ground: Terrain | None = None,
-) -> tuple[Plan, ...]:
+) -> CandidatePlans:
     """Plans to compare, with the limits asked for, the tolerance, and the circles that each comes near to.
 
     `ground` is what they are driven on instead of the site's terrain.
@@ -439,7 +454,7 @@ def candidates_of(
     if asked.tolerance is not None:
         end = Limit("endpoint_miss_m", "m", asked.tolerance, "tolerance of the end from the target", False)
         limits = tuple(end if one.quantity == end.quantity else one for one in limits)
-    plans = candidate_plans(
+    searched = candidate_plans(
         search.surface,
         site.rover,
         (x0, y0, heading),
@@ -452,8 +467,10 @@ def candidates_of(
         progress=progress,
     )
     swept = read_plan().sweep if given.file is None and not asked.sweep else ()
-    near = [near_way(site.keep_outs, planned_places(plan, site.rover)) if site.keep_outs else () for plan in plans]
-    return tuple(
+    near = [
+        near_way(site.keep_outs, planned_places(plan, site.rover)) if site.keep_outs else () for plan in searched.plans
+    ]
+    made = tuple(
         replace(
             plan,
             made_for=made_for_on(site, ground),
@@ -462,8 +479,9 @@ def candidates_of(
             crs=site.terrain.crs,
             accepted_risk=risk,
         )
-        for plan, zones in zip(plans, near, strict=True)
+        for plan, zones in zip(searched.plans, near, strict=True)
     )
+    return searched._replace(plans=made)
 
 
 def drive_conditions(
@@ -524,5 +542,5 @@ def _inputs(site: SurveyedSite, given: GivenSoil, plan: Plan, ground: Terrain) -
         driven=site.driven if belief is None else DrivenSoil(given.name, "belief"),
         given=given,
         check=site.check,
-        ruts=belief is not None and belief.ruts,
+        ruts=None,
     )

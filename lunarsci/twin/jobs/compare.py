@@ -162,7 +162,8 @@ def compare(
     digest = sha256(description.text.encode())
     if digest != forecast.rover_sha256:
         raise DataError(
-            f"{predicted}: predicted with another file of {forecast.rover} than {rover}; give the same `rover`"
+            f"{predicted}: predicted with the rover {forecast.rover}, of another file than "
+            f"{rover}; give that file as `rover`"
         )
     if asked.plan is not None:
         inputs |= _check_plan(read_input(asked.plan), forecast)

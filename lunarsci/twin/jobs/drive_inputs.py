@@ -7,12 +7,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.constants import LUNAR_GRAVITY
 from lunarsci.errors import DataError, LunarSciWarning, RequestError, within_option
 from lunarsci.heights import HeightUnit
 from lunarsci.io.documents import json_document
 from lunarsci.io.inputs import Source, read_input
+from lunarsci.names import counted
 from lunarsci.provenance import sha256
 from lunarsci.regolith.belief import FitVerdict, SoilBelief, doubt, other_law
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
@@ -66,7 +67,7 @@ class DriveInputs:
     check : what was noted of files that were made for another rover or ground.
     given : which soils were asked for.
     options : what was taken for options that were left out, by name.
-    ruts : whether wheels meet the ruts that others, and they themselves, left.
+    ruts : whether wheels meet the ruts that others, and they themselves, left; None as probably as the belief has it.
     before : a plan that was driven on the same ground before; None without one.
     rough : whether the terrain has roughness that its file does not show.
     questions : numbers that no Moon, soil or rover has as they are written.
@@ -82,7 +83,7 @@ class DriveInputs:
     check: MadeForCheck
     given: GivenSoil = field(default_factory=GivenSoil)
     options: dict[str, Any] = field(default_factory=dict)
-    ruts: bool = False
+    ruts: bool | None = False
     before: Plan | None = None
     rough: bool = False
     questions: tuple[Question, ...] = ()
@@ -121,14 +122,11 @@ class DriveInputs:
             every = f"soil: of each drive a row of {self.given.name}"
             lines = [some if members < self.given.rows else every] if self.given.of == "samples" else []
             return [*lines, f"soil: that of {self.driven.name}{rest}{why}"] if named else lines
-        start = "no drive yet, only on " + ("the priors" if belief.verdict is None else "a fit to wheel states")
-        drives = start if not belief.history else f"{len(belief.history)} drive(s)"
+        start = "before any drive" if belief.verdict is None else "a fit to wheel states"
+        drives = start if not belief.history else counted(len(belief.history), "drive")
         unread = len(belief.history) - self.given.learned
         less = f", {unread} of which taught nothing" if unread else ""
-        drawn_from = (
-            f"soil: {members} drawn from the belief {self.given.name}, which rests on {drives}{less}; it takes the "
-            "place of the terrain's soil"
-        )
+        drawn_from = f"soil: {members} drawn from {self.given.name} ({drives}{less}); they replace that of the terrain"
         return [drawn_from, *([f"caution: {self.caution_of_belief}"] if self.caution_of_belief else [])]
 
     @property
@@ -207,10 +205,11 @@ def read_drive_inputs(
     A soil that is given lies everywhere, whatever the terrain's file carries; without one this is driven on, and where
     it has none, `longji`. Where soils are of no account (`soil_counts`) none is said
     to be used. The limits of a plan that is `judged` must be those of the rover, or no laxer. `before` is a plan that
-    was driven on the same ground before, whose ruts are met. `ruts` that are None are met with such a plan, and where
-    the belief's last drive met them. Heights of a file that states their errors are as they are likely to be; with
-    `terrain_errors` what is not known of them comes with them. `keep_out` are files of ground to keep out of. With
-    `priors` soils are drawn from the priors where neither an option, the terrain nor the plan says anything of them.
+    was driven on the same ground before, whose ruts are met. `ruts` that are None are met with such a plan, and of a
+    belief in as many drives as its last drive makes probable. Heights of a file that states their errors are as they
+    are likely to be; with `terrain_errors` what is not known of them comes with them. `keep_out` are files of ground to
+    keep out of. With `priors` soils are drawn from the priors where neither an option, the terrain nor the plan says
+    anything of them.
 
     Raises DataError for what cannot be read, RequestError for what does not belong together.
     """
@@ -257,10 +256,10 @@ def read_drive_inputs(
     )
 
 
-def _meets_ruts(ruts: bool | None, before: bool, given: GivenSoil) -> bool:
+def _meets_ruts(ruts: bool | None, before: bool, given: GivenSoil) -> bool | None:
     if before and ruts is False:
         raise RequestError("`before` leaves nothing but ruts, and `ruts` are left out; give one of them")
-    return (before or (given.belief is not None and given.belief.ruts)) if ruts is None else ruts
+    return ruts if ruts is not None else before or (None if given.belief is not None else False)
 
 
 def _read_plan(plan: "Source | Plan | None", inputs: dict[str, str]) -> Plan | None:
@@ -461,6 +460,14 @@ class Soils:
             return "samples" if of == "samples" else "belief"
         return "sweep" if (self.inputs.plan.sweep if self.sweep is None else self.sweep) else "one"
 
+    @property
+    def _ruts(self) -> bool | BoolArray:
+        """Whether wheels meet ruts: in all drives, or in each."""
+        belief, asked = self.inputs.given.belief, self.inputs.ruts
+        if asked is None and belief is not None and self.samples is not None:
+            return belief.draws_with_ruts(len(next(iter(self.samples.values()))), self.seed)
+        return bool(asked)
+
     def of_members(self) -> dict[str, Any]:
         """What `drive_ensemble` takes: rover, terrain and plan, ruts, and the soils of all members."""
         inputs = self.inputs
@@ -470,7 +477,7 @@ class Soils:
             "plan": inputs.plan,
             "seed": self.seed,
         }
-        result |= {"ruts": inputs.ruts, "before": inputs.before}
+        result |= {"ruts": self._ruts, "before": inputs.before}
         if inputs.given.soil_map is not None:
             along, members = planned_places(inputs.plan, inputs.rover), self.members or OF_A_BELIEF
             grounds = drawn_grounds(inputs.given.soil_map, inputs.terrain, along, members, self.seed)

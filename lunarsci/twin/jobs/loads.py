@@ -1,6 +1,6 @@
 """What the wheels carry and pull along a motion that was measured."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -81,6 +81,9 @@ class MotionLoads(Result):
     def missing(self) -> dict[str, float] | None:
         """The residual wrench over all poses; None where no pose has forces."""
         return _missing(self.forces) if self.wheels else None
+
+    def may_have(self, key: str) -> Collection[str]:
+        return self.inputs.rover.wheels if key == "wheels" else ()
 
     def to_dict(self) -> dict[str, Any]:
         result = {"of": "motion", "members": 1, "missing": self.missing, "soil": self.inputs.soil_record()}
@@ -168,6 +171,9 @@ class UncertainLoads(Result):
             "doubt": self.turned.doubt,
         }
         return replace(belief, history=(*belief.history, entry))
+
+    def may_have(self, key: str) -> Collection[str]:
+        return self.inputs.rover.wheels if key == "wheels" else ()
 
     def to_dict(self) -> dict[str, Any]:
         inputs, result, belief = self.inputs, self.forces, self.given.get("belief")

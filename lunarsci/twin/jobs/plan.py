@@ -287,7 +287,7 @@ class _Ways:
         except ParameterError as error:
             try:
                 ground = local.searched(np.array([pose[:2], place]))
-                plan = candidate_plans(ground, site.rover, pose, place, most=ALTERNATIVES, **asked)[0]
+                plan = candidate_plans(ground, site.rover, pose, place, most=ALTERNATIVES, **asked).plans[0]
             except (ParameterError, IndexError):
                 raise error from None
         near = near_way(site.keep_outs, planned_places(plan, site.rover)) if site.keep_outs else ()

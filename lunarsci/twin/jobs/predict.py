@@ -1,6 +1,6 @@
 """Whether the next drive is safe: a plan driven on many soils, and held against its limits."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -31,8 +31,10 @@ from lunarsci.twin.judgement.endpoint import (
     terrain_shares,
 )
 from lunarsci.twin.judgement.energy import PowerUse, energy_record, power_record, power_use
+from lunarsci.twin.judgement.keeping import limits_judged
 from lunarsci.twin.judgement.safety import Verdict, judge, undecided
 from lunarsci.twin.judgement.tables import check_loads
+from lunarsci.twin.lanes import OUTCOMES
 from lunarsci.twin.plans.plan import Plan
 from lunarsci.twin.plans.risk import AcceptedRisk
 from lunarsci.twin.simulation.discrepancy import with_discrepancy
@@ -112,7 +114,8 @@ class PredictedDrives(Result):
             "path_length_m": prediction.plan.length_m,
             "time_step_s": prediction.time_step_s,
             "finer_members": prediction.finer_members,
-            "ruts": prediction.ruts,
+            "ruts": bool(prediction.ruts.any()),
+            "ruts_share": float(prediction.ruts.mean()),
             "before": None if before is None else before.name,
             "plan": prediction.plan.name,
             "loads": asdict(check_loads(prediction)),
@@ -136,6 +139,10 @@ class PredictedDrives(Result):
         law = self.prediction.discrepancy.law
         share = None if self.verdict.endpoint is None else self.verdict.endpoint.physics_share
         return {"discrepancy": law.to_dict(), "learned_from": len(law.scored), "share_of_end_variance": share}
+
+    def may_have(self, key: str) -> Collection[str]:
+        limits = [limit.quantity for limit in limits_judged(self.prediction)] if key == "limits" else []
+        return OUTCOMES if key == "outcomes" else limits
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         return [asdict(limit) for limit in self.verdict.limits]

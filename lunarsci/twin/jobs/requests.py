@@ -334,8 +334,8 @@ class PredictRequest(PoweredRequest):
 
     Attributes
     ----------
-    ruts : Whether wheels meet the ruts that others, and they themselves, left. With `soil` of a belief as its last
-        drive did, else no, if left out.
+    ruts : Whether wheels meet the ruts that others, and they themselves, left. If left out, with `soil` of a belief in
+        as many drives as its last drive makes probable, else in none.
     before : A plan that was driven on the same ground before; its ruts are met, too.
     exact_terrain : Drive on the likely ground. Without it each drive has a ground of its own, drawn from what an
         elevation model of `images dem` or `images merge` says of its errors, or from the Moon's roughness where nodes
@@ -367,8 +367,8 @@ class SimulateDriveRequest(RoverOnGround):
     Attributes
     ----------
     soil : The true soil, in place of the terrain's: a name or a TOML file.
-    ruts : Whether wheels meet the ruts that others, and they themselves, left. With `soil` of a belief as its last
-        drive did, else no, if left out.
+    ruts : Whether wheels meet the ruts that others, and they themselves, left. If left out, with `soil` of a belief in
+        as many drives as its last drive makes probable, else in none.
     before : A plan that was driven on the same ground before; its ruts are met, too.
     fix_distance : Way between localised positions in m.
     fix_sigma : Their standard error in m, in x and in y; a third of 4 % of the way between them by default.

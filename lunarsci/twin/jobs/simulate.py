@@ -123,7 +123,7 @@ def simulate_drive(
         sweep=(),
         time_step_s=asked.time_step,
         sample_m=asked.sample,
-        ruts=inputs.ruts,
+        ruts=bool(inputs.ruts),
         before=inputs.before,
         seed=drawn,
         progress=progress,

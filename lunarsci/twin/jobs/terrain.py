@@ -58,7 +58,7 @@ ROCK_SOURCES = [
     "Wu et al. (2021), Earth Planet. Sci. Lett. 553, 116666",
 ]
 LIMITS = ("max_slope_deg", "max_step_m", "max_roughness_m", "min_turning_radius_m", "hazard_distance_m")
-UNSEEN = "rocks and edges smaller than two spacings of the grid are not in it"
+UNSEEN = "the terrain lacks rocks and edges smaller than two spacings of its grid"
 
 
 def light_of(request: GroundRequest) -> tuple[tuple[float, float] | None, float | None]:

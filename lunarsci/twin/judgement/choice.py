@@ -12,6 +12,7 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, IntArray, spans
 from lunarsci.errors import ParameterError
+from lunarsci.names import counted
 from lunarsci.parallel.blocks import run_blocks, shared_out
 from lunarsci.regolith.physics_discrepancy import PhysicsDiscrepancy
 from lunarsci.result import Progress
@@ -20,7 +21,7 @@ from lunarsci.twin.judgement.energy import expected_energy_j
 from lunarsci.twin.judgement.keeping import broken, extremes, limited, limits_judged
 from lunarsci.twin.judgement.quantities import least_of_95
 from lunarsci.twin.lanes import GROUP
-from lunarsci.twin.plans.path import make_schedule
+from lunarsci.twin.plans.path import make_schedule, planned_pose
 from lunarsci.twin.plans.plan import AT_LEAST, Leg, Limit, Plan
 from lunarsci.twin.plans.risk import CONFIDENCE, AcceptedRisk, Chance
 from lunarsci.twin.rover import Rover
@@ -93,7 +94,7 @@ class Conditions:
     grounds: Grounds | None = None
     draws: FloatArray | None = None
     discrepancy: PhysicsDiscrepancy | None = None
-    ruts: bool = False
+    ruts: bool | BoolArray = False
     before: Plan | None = None
     seed: int = 0
     time_step_s: float = 0.1
@@ -110,7 +111,8 @@ class Conditions:
         samples = {name: values[numbers] for name, values in self.samples.items()}
         grounds = None if self.grounds is None else _SomeGrounds(self.grounds, numbers, samples)
         draws = None if self.draws is None else self.draws[numbers]
-        return replace(self, samples=samples, grounds=grounds, draws=draws)
+        ruts = np.broadcast_to(self.ruts, (self.members,))[numbers]
+        return replace(self, samples=samples, grounds=grounds, draws=draws, ruts=ruts)
 
     def drive(self, plan: Plan, members: range) -> Prediction:
         """Some members along a plan. Each such part draws its own errors of fixes and discrepancy."""
@@ -128,7 +130,7 @@ class Conditions:
             seed=seed,
             time_step_s=self.time_step_s,
             sample_m=self.sample_m,
-            ruts=self.ruts,
+            ruts=np.broadcast_to(self.ruts, (self.members,))[some],
             before=self.before,
             draws=None if self.draws is None else self.draws[some],
         )
@@ -190,7 +192,7 @@ def joined(parts: Sequence[Prediction]) -> Prediction:
 
     first = parts[0]
     soils = {name: np.concatenate([part.parameters[name] for part in parts]) for name in first.parameters}
-    arrays = {name: whole(name) for name in ("paths", "states", "recorded", "outcome", "finer")}
+    arrays = {name: whole(name) for name in ("paths", "states", "recorded", "outcome", "finer", "ruts")}
     draws, steered = (None if getattr(first, name) is None else whole(name) for name in ("draws", "steered"))
     grounds = first.grounds
     if isinstance(grounds, _SomeGrounds):
@@ -226,7 +228,7 @@ class Weakest:
         outcome as `unit`, where most did not end.
     value, limit : what 95 % of the drives keep there, and the limit.
     failed : drives that break it anywhere.
-    x_m, y_m, distance_m : where: mean place of the drives, and how far the plan then is. [m]
+    x_m, y_m, distance_m : where on the planned way, and how far along it. [m]
     """
 
     quantity: str
@@ -255,9 +257,9 @@ class Weakest:
     def short(self) -> str:
         """What is beyond its limit, and in how many drives."""
         if self.quantity == UNFINISHED:
-            return f"{self.failed} drives end early"
+            return f"{counted(self.failed, 'drive')} end{'s' * (self.failed == 1)} early"
         unit = "" if self.unit == "-" else f" {self.unit}"
-        return f"{self.quantity} {self.value:.3g} of {self.limit:.3g}{unit} ({self.failed} drives)"
+        return f"{self.quantity} {self.value:.3g}{unit}, limit {self.limit:.3g}{unit} ({counted(self.failed, 'drive')})"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -326,12 +328,17 @@ def _place(
     keeps = np.take_along_axis(use, order[rank : rank + 1], axis=0)[0]
     sample = int(keeps.argmax())
     member = int(order[rank, sample])
-    x, y = prediction.places_m[:, sample].mean(axis=0)
     weakest = Weakest(
-        limit.quantity, limit.unit, float(values[member, sample]), limit.limit, failed, float(x), float(y),
-        float(prediction.distance_m[sample]),
-    )  # fmt: skip
+        limit.quantity, limit.unit, float(values[member, sample]), limit.limit, failed, *_planned_at(prediction, sample)
+    )
     return (failed, float(keeps[sample])), weakest
+
+
+def _planned_at(prediction: Prediction, sample: int) -> tuple[float, float, float]:
+    """x, y on the planned way, and the distance along it, at a sample. [m]"""
+    distance = float(prediction.distance_m[sample])
+    x, y, _ = planned_pose(prediction.plan, distance)
+    return float(x), float(y), distance
 
 
 def _unfinished(prediction: Prediction) -> tuple[tuple[int, float], Weakest]:
@@ -340,11 +347,9 @@ def _unfinished(prediction: Prediction) -> tuple[tuple[int, float], Weakest]:
     last = np.maximum(prediction.recorded[stopped], 1) - 1
     member = int(stopped[np.argsort(last)[len(last) // 2]])
     sample = int(max(prediction.recorded[member], 1) - 1)
-    x, y = prediction.places_m[member, sample]
     weakest = Weakest(
-        UNFINISHED, prediction.outcome_text(member), math.nan, math.nan, stopped.size, float(x), float(y),
-        float(prediction.distance_m[sample]),
-    )  # fmt: skip
+        UNFINISHED, prediction.outcome_text(member), math.nan, math.nan, stopped.size, *_planned_at(prediction, sample)
+    )
     return (stopped.size, math.inf), weakest
 
 

@@ -281,7 +281,7 @@ def step_error_m(prediction: Prediction) -> float | None:
             sweep=None if prediction.parameters else (),
             time_step_s=step * ABOVE_ROUNDING,
             sample_m=float(prediction.time_s[1]) * plan.speed_m_s * ABOVE_ROUNDING,
-            ruts=prediction.ruts,
+            ruts=prediction.ruts[member],
             before=prediction.before,
             draws=None if prediction.draws is None else prediction.draws[member : member + 1],
         )
@@ -376,7 +376,7 @@ def _again(prediction: Prediction, chosen: IntArray) -> Prediction:
         time_step_s=min(prediction.time_step_s * ABOVE_ROUNDING, LONGEST_STEP_S),
         sample_m=min(sample_m * ABOVE_ROUNDING, LONGEST_SAMPLE_M),
         seed=prediction.seed,
-        ruts=prediction.ruts,
+        ruts=prediction.ruts[chosen] if samples or prediction.grounds is not None else prediction.ruts[:1],
         before=prediction.before,
         **(soils if prediction.grounds is None else {"grounds": prediction.grounds}),
     )

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from lunarsci.arrays import FloatArray
+from lunarsci.names import counted
 from lunarsci.result import Doubt
 from lunarsci.twin.ground.finer_ground import Unresolved
 from lunarsci.twin.judgement.endpoint import Endpoint, endpoint_spread
@@ -95,8 +96,8 @@ def validity_notes(states: Validity) -> list[str]:
         (states.too_deep_share, f"sink deeper than the wheel model holds for ({DEEPEST} of the radius)"),
         (
             states.uncalibrated_share,
-            f"sink less than {low:g} mm or more than {high:g} mm, the range of Yutu-2's calibration "
-            "(Ding et al. 2024): forces there were not tried on the Moon",
+            f"sink less than {low:g} mm or more than {high:g} mm; only between these were forces calibrated on the "
+            "Moon, by Yutu-2 (Ding et al. 2024)",
         ),
     )
     return [f"{percent(share)} of the wheel states {what}" for share, what in kinds if share > 0]
@@ -240,7 +241,7 @@ def arrivals(arrived: int, members: int) -> str:
     >>> arrivals(3, 3), arrivals(1, 3)
     ('3 drives', 'the 1 that arrived')
     """
-    return f"{members} drives" if arrived == members else f"the {arrived} that arrived"
+    return counted(members, "drive") if arrived == members else f"the {arrived} that arrived"
 
 
 def headword(verdict: Verdict) -> str:
@@ -277,7 +278,8 @@ def judge(prediction: Prediction, plan: Plan | None = None) -> Verdict:
     }
     chance = Chance(int((~keeps_limits(prediction, worst)).sum()), prediction.members)
     early = [
-        f"{n} of {prediction.members} members: {text}{_at_the_start(prediction, text)}"
+        f"{n} of {counted(prediction.members, 'drive')} {'ends' if n == 1 else 'end'} early: {text}"
+        f"{_at_the_start(prediction, text)}"
         for text, n in outcomes.items()
         if text != OUTCOMES[0]
     ]
@@ -320,8 +322,8 @@ def undecided(verdict: Verdict, plain: Verdict, unresolved: Unresolved) -> Verdi
     if plain.verdict == "no-go" or share >= MOST_DRAWS:
         return verdict
     why = (
-        f"it hangs on ground that nodes {unresolved.spacing_m:g} m apart do not show: {percent(share)} of the drives "
-        "fail on draws of the Moon's roughness, and the plan keeps its limits where it is smooth between the nodes; "
+        f"the ground between nodes {unresolved.spacing_m:g} m apart decides, and nobody has seen it: if it is smooth, "
+        f"the plan keeps its limits; if it is as rough as elsewhere on the Moon, {percent(share)} of the drives fail; "
         f"heights every {unresolved.deciding_m:.2g} m, a wheel's radius, would decide"
     )
     return dataclasses.replace(verdict, verdict="not-determined", reasons=(why, *verdict.reasons))
@@ -344,8 +346,8 @@ def _beyond_model(states: Validity) -> list[str]:
     if states.beyond_share <= MOST_BEYOND:
         return []
     return [
-        f"{percent(states.beyond_share)} of the wheel states are beyond the wheel model, at most "
-        f"{percent(MOST_BEYOND)} may be"
+        f"the wheel model does not hold for {percent(states.beyond_share)} of the wheel states; at most "
+        f"{percent(MOST_BEYOND)} are allowed"
     ]
 
 
@@ -402,23 +404,29 @@ def _judge_limit(prediction: Prediction, limit: Limit, values: FloatArray, share
 
 def _reason(judgement: Judgement, among: str) -> str:
     up = judgement.sense == "at most"
-    name = f"p{100.0 * (judgement.share if up else 1.0 - judgement.share):02.3g}"
     if judgement.quantity == "keep_out_m":
-        return f"keep_out_m: {judgement.min:.3g} at the nearest is less than the limit {judgement.limit:g}"
+        return (
+            f"keep_out_m: the nearest drive leaves {judgement.min:.3g} m, less than the limit of {judgement.limit:g} m"
+        )
     if judgement.quantity == "battery_charge":
         share = f"charge falls below {judgement.limit:g}" if judgement.limit else "battery runs empty"
         return f"battery_charge: the {share} in {judgement.exceeding} of {among}"
     if judgement.quantity == "motor_load":
+        share = f"{100 * judgement.share:g} %"
         return (
             f"motor_load: in {judgement.exceeding} of {among} a wheel needs more torque than its motor gives "
-            f"for long at its rate, {name} {judgement.kept:.3g} times as much"
+            f"for long at its rate; {share} of the drives need at most {judgement.kept:.3g} times as much"
         )
-    beyond = "exceeds" if up else "is less than"
-    meaning = "; at 1 wheels turn and the rover stays, or slides back" if judgement.quantity == "slip_ratio" else ""
-    return (
-        f"{judgement.quantity}: {name} {judgement.kept:.3g} {beyond} the limit {judgement.limit:g}, which "
-        f"{judgement.exceeding} of {among} break{meaning}"
-    )
+    side = "below" if up else "above"
+    most = f"; {100 * judgement.share:g} % stay {side} {judgement.kept:.3g}" if math.isfinite(judgement.kept) else ""
+    stuck = judgement.quantity == "slip_ratio" and f"{judgement.kept:.2g}" == "1"
+    meaning = " (slip 1: the wheels turn, but the rover stands or slides back)" if stuck else ""
+    return f"{_broken_by(judgement, among)} {judgement.limit:g}{most}{meaning}"
+
+
+def _broken_by(judgement: Judgement, among: str) -> str:
+    one = judgement.exceeding == 1
+    return f"{judgement.quantity}: {judgement.exceeding} of {among} {'breaks' if one else 'break'} the limit"
 
 
 def _crossed(one: Encounter, members: int) -> str:
@@ -447,8 +455,8 @@ def _at_the_start(prediction: Prediction, outcome: str) -> str:
 
 def _nearness(judgement: Judgement) -> str:
     unit = "" if judgement.unit == "-" else f" {judgement.unit}"
-    at = f"{judgement.quantity} of {judgement.worst:.3g}{unit}, limit {judgement.sense} {judgement.limit:g}{unit}"
-    return f"{at}: {'beyond' if judgement.exceeding else 'nearest to'} what is allowed"
+    how = "is farthest beyond its" if judgement.exceeding else "comes nearest to its"
+    return f"{judgement.quantity} of {judgement.worst:.3g}{unit} {how} limit, {judgement.limit:g}{unit}"
 
 
 def _notes(prediction: Prediction, judged: tuple[Judgement, ...], states: Validity, touches: bool) -> tuple[str, ...]:
@@ -467,5 +475,5 @@ def _notes(prediction: Prediction, judged: tuple[Judgement, ...], states: Validi
     if touches:
         notes.append("the chassis would touch the ground; the drives go on as if it did not")
     among = arrivals(int(prediction.finished.sum()), prediction.members)
-    few = [f"{j.quantity}: {j.exceeding} of {among} break the limit" for j in judged if j.exceeding and j.ok]
+    few = [_broken_by(j, among) for j in judged if j.exceeding and j.ok]
     return (*notes, *validity_notes(states), *few)

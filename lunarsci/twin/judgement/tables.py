@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray, at_times, spans
+from lunarsci.names import counted
 from lunarsci.regolith.states import FROM_MOTION
 from lunarsci.twin.judgement.quantities import along
 from lunarsci.twin.simulation.dynamics import MOST_LOAD
@@ -376,10 +377,12 @@ def load_notes(result: LoadCheck) -> list[str]:
     """One sentence for each kind that occurs."""
     notes = []
     if result.hanging_members:
-        notes.append(f"in {result.hanging_members} drive(s) a wheel carries nothing, and others carry its load")
+        notes.append(
+            f"in {counted(result.hanging_members, 'drive')} a wheel carries nothing, and others carry its load"
+        )
     if result.overloaded_members:
         notes.append(
-            f"in {result.overloaded_members} drive(s) a wheel carries up to {result.most_n:.0f} N, more than twice the "
-            f"rover's weight of {result.weight_n:.0f} N: a fall, a hit, or a computation that lost its meaning"
+            f"in {counted(result.overloaded_members, 'drive')} a wheel carries up to {result.most_n:.0f} N, more "
+            f"than twice the weight of {result.weight_n:.0f} N: a fall, a hit, or a computation that lost its meaning"
         )
     return notes

@@ -157,9 +157,9 @@ class Leg:
 
     Attributes
     ----------
-    length_m : way of an arc over the ground, > 0; 0 for a turn or a stop. Rims are commanded to roll length_m /
-        (1 - slip_ratio). [m]
-    slip_ratio : slip that the commands make up for, between -1 and 1; 0 without any. [-]
+    length_m : way of an arc over the ground where wheels slip by slip_ratio, > 0; 0 for a turn or a stop. Rims are
+        commanded to roll length_m / (1 - slip_ratio). [m]
+    slip_ratio : slip that the commands make up for, between -1 and 1; 0 where length_m is what the rims roll. [-]
     curvature_per_m : constant curvature of the arc, positive to the left; 0 is straight ahead. [1/m]
     crab_deg : direction of the arc's travel seen from the heading, positive to the left, -180 to 180: 90 is sideways,
         180 backwards. [deg]

@@ -6,12 +6,14 @@ Which courses are different ways: by the side on which each obstacle is passed, 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import label, minimum_position
 
 from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.errors import ParameterError
+from lunarsci.names import counted
 from lunarsci.ranges import check_range
 from lunarsci.result import Progress
 from lunarsci.twin.ground.hazards import RoverFootprint, Traversability
@@ -167,6 +169,33 @@ def manners(rover: Rover, start: FloatArray, goal: FloatArray) -> tuple[Manner, 
     return tuple(result)
 
 
+class CandidatePlans(NamedTuple):
+    """Drives to a target that differ, and why there are no more.
+
+    Attributes
+    ----------
+    plans : the drives.
+    blocked : manners of driving in words of which no course keeps the clearance.
+    alike, costly : courses left out, as they lead along another one, or cost more than `LONGEST` times the least.
+    """
+
+    plans: tuple[Plan, ...]
+    blocked: tuple[str, ...]
+    alike: int
+    costly: int
+
+    @property
+    def why_no_more(self) -> str:
+        """One sentence."""
+        names = ", ".join(f"'{words.rstrip(',')}'" for words in self.blocked)
+        none = f"no way keeps clear of hazards for {names}" if names else ""
+        alike = f"{counted(self.alike, 'way')} left out, alike to one of these" if self.alike else ""
+        dear = (
+            f"{counted(self.costly, 'way')} left out, at over {LONGEST:g} times the least cost" if self.costly else ""
+        )
+        return f"there are no more drives to compare: {'; '.join(filter(None, (none, alike, dear))) or 'none differs'}"
+
+
 def candidate_plans(
     surface: Traversability,
     rover: Rover,
@@ -179,7 +208,7 @@ def candidate_plans(
     fixes: Fixes | None = None,
     most: int = MOST,
     progress: Progress | None = None,
-) -> tuple[Plan, ...]:
+) -> CandidatePlans:
     """Drives to a target that differ, at most `most`; the first is the cheapest on the maps.
 
     Parameters
@@ -202,10 +231,13 @@ def candidate_plans(
     ways = DistinctWays(ahead, obstacle_places(ahead), search.footprint.half_width_m, most)
     all_manners = manners(rover, search.start, search.goal)
     by_manner: list[list[tuple[float, Plan]]] = []
+    alike = 0
     for number, manner in enumerate(all_manners):
         if progress is not None:
             progress(number, len(all_manners))
-        by_manner.append(_plans(search, ways, manner, template))
+        plans, same = _plans(search, ways, manner, template)
+        by_manner.append(plans)
+        alike += same
     if progress is not None:
         progress(len(all_manners), len(all_manners))
     if not any(by_manner):
@@ -214,33 +246,45 @@ def candidate_plans(
     near = [[one for one in plans if one[0] <= LONGEST * least] for plans in by_manner]
     first = sorted((plans[0] for plans in near if plans), key=lambda one: one[0])
     rest = sorted((one for plans in near for one in plans[1:]), key=lambda one: one[0])
-    plans = [plan for _, plan in (*first, *rest)]
-    return tuple(plans[:most]) if fixes is None else _with_fixes(plans, fixes, most)
+    ordered = [plan for _, plan in (*first, *rest)]
+    return CandidatePlans(
+        plans=tuple(ordered[:most]) if fixes is None else _with_fixes(ordered, fixes, most),
+        blocked=tuple(one.words for one, plans in zip(all_manners, by_manner, strict=True) if not plans),
+        alike=alike,
+        costly=sum(map(len, by_manner)) - len(ordered),
+    )
 
 
-def _plans(search: RouteSearch, ways: DistinctWays, manner: Manner, template: Plan) -> list[tuple[float, Plan]]:
-    """Plans of one manner with their costs, the cheapest first; none where there is no room for its turn."""
+def _plans(
+    search: RouteSearch, ways: DistinctWays, manner: Manner, template: Plan
+) -> tuple[list[tuple[float, Plan]], int]:
+    """Plans of one manner with their costs, the cheapest first, and how many courses are like one of these.
+
+    None where there is no room for its turn.
+    """
     turned = search.start + np.array([0.0, 0.0, math.radians(manner.turn_deg)])
     if manner.turn_deg and not search.has_room_to_turn(manner.turn_deg):
-        return []
+        return [], 0
     crab = np.array([0.0, 0.0, math.radians(manner.crab_deg)])
     footprint = _enclosing(search.footprint, math.radians(manner.crab_deg))
     problem = search.problem(footprint, turned + crab, search.goal + crab)
     plans = []
-    for course in _courses(replace(ways, problem=problem)):
+    courses, alike = _courses(replace(ways, problem=problem))
+    for course in courses:
         arcs = tuple(Leg(float(length), float(bend), manner.crab_deg) for length, bend in course.arcs)
         legs = (Leg(turn_deg=manner.turn_deg), *arcs) if manner.turn_deg else arcs
         places = course_places(problem.start, course.arcs[None])[0]
         plans.append((course.cost_m, replace(template, name=f"{manner.words} {_bend(places)}", legs=legs)))
-    return plans
+    return plans, alike
 
 
-def _courses(ways: DistinctWays) -> list[Course]:
-    """Distinct courses of all numbers of arcs, the best of each class refined, the cheapest first."""
+def _courses(ways: DistinctWays) -> tuple[list[Course], int]:
+    """Distinct courses of any number of arcs, the best of each class refined, cheapest first; how many are alike."""
     problem = ways.problem
     lattice = lattice_courses(problem, ways)
     if not lattice.complete:
-        return sorted(filter(None, (refine(problem, course) for course in lattice.nearly)), key=lambda one: one.cost_m)
+        nearly = filter(None, (refine(problem, course) for course in lattice.nearly))
+        return sorted(nearly, key=lambda one: one.cost_m), 0
     courses = sorted(lattice.complete, key=lambda course: course.cost_m)
     places = np.concatenate([course_places(problem.start, course.arcs[None]) for course in courses])
     picked, seen = [courses[number] for number in ways.of_places(places)], set()
@@ -251,7 +295,7 @@ def _courses(ways: DistinctWays) -> list[Course]:
         seen.add(side)
         if better is not None or keeps_clear(problem.fine, course.arcs):
             distinct.append(better or course)
-    return sorted(distinct, key=lambda course: course.cost_m)
+    return sorted(distinct, key=lambda course: course.cost_m), len(courses) - len(picked)
 
 
 def _enclosing(footprint: RoverFootprint, angle: float) -> RoverFootprint:

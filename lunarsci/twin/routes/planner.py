@@ -364,9 +364,10 @@ def check_place(surface: Traversability, name: str, place: Sequence[float], reac
     if reason := surface.reason(row, column):
         steep = float(surface.maps.slope_deg[row, column])
         limit = f", such as --max-slope {math.ceil(steep)}" if steep > surface.mobility.max_slope_deg else ""
+        other = f"a limit that lets it {'leave' if name == 'start' else 'come'}{limit}"
+        other = "heights that reach there" if surface.unknown[row, column] else other
         raise ParameterError(
-            f"the rover cannot be at the {name}: {reason}; {instead(surface, name, (x, y), reach_m)}; or, if it stands "
-            f"there, a limit that lets it leave{limit}"
+            f"the rover cannot be at the {name}: {reason}; {instead(surface, name, (x, y), reach_m)}; or give {other}"
         )
 
 

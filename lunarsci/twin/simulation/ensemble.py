@@ -18,7 +18,7 @@ from lunarsci.twin.plans.path import UNDER_WAY, Schedule, make_schedule
 from lunarsci.twin.plans.plan import Plan, Sweep, check_plan
 from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.contact import DEEPEST, SHALLOWEST
-from lunarsci.twin.simulation.members import MOST_STEPS, DriveSetup, Grounds, drive_all, drive_finer
+from lunarsci.twin.simulation.members import MOST_STEPS, DriveSetup, Grounds, drive_each
 
 PATH_COLUMNS = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg")
 """Of a pose of the rover's origin; while drives are computed the angles are in rad."""
@@ -106,7 +106,7 @@ class Prediction:
     recorded : samples that each member reached; later rows repeat its last one and are no prediction. (members,)
     outcome : index into `OUTCOMES`. (members,)
     grounds : what each member drove on, where they do not share the terrain's soil or one of `parameters`.
-    ruts : whether wheels met what others had left.
+    ruts : whether the wheels of each member met what others had left. (members,)
     before : the plan that each member had driven on the same ground before, whose ruts it met.
     finer : how many times shorter the step was with which each member was driven; more than 1 where `time_step_s` did
         not hold its soil. (members,)
@@ -133,7 +133,7 @@ class Prediction:
     recorded: IntArray
     outcome: IntArray
     grounds: Grounds | None = None
-    ruts: bool = False
+    ruts: BoolArray
     before: Plan | None = None
     finer: IntArray | None = None
     draws: FloatArray | None = None
@@ -243,7 +243,7 @@ def predict(
     seed: int = 0,
     time_step_s: float = 0.1,
     sample_m: float = 0.1,
-    ruts: bool = False,
+    ruts: bool | BoolArray = False,
     before: Plan | None = None,
     draws: FloatArray | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -262,8 +262,9 @@ def predict(
         hold. 0.1 s puts the end of the embedded plan within 1.5 mm, which holds for no other ground: 5 m over a ramp
         10 cm high and long end 9 to 37 mm off. [s]
     sample_m : longest distance between samples; shortened so that the last is the end of the path. [m]
-    ruts : whether wheels meet the ruts of those before them, as `lunarsci.twin.simulation.contact` has them. What makes
-        forces or soils of states takes every wheel's ground as undisturbed.
+    ruts : whether wheels meet the ruts of those before them, as `lunarsci.twin.simulation.contact` has them, of all
+        members or of each (members,); with `before` all of them must. What makes forces or soils of states takes every
+        wheel's ground as undisturbed.
     before : a plan that each member has driven on the same ground before, so that it meets those ruts too. Where that
         drive did not end, this one has its outcome.
     draws : what the ground of each member is drawn by, instead of the terrain's own `HeightErrors.draws` by the seed;
@@ -289,10 +290,10 @@ def predict(
     overrides = soil_overrides(parameters if grounds is None else {}, count)
     if draws is None and terrain.errors is not None:
         draws = terrain.errors.draws(count, seed)
-    scene = DriveSetup(rover, terrain, schedule, times, every, seed, grounds, ruts, draws=draws)
+    met = np.array(np.broadcast_to(ruts, (count,)))
+    scene = DriveSetup(rover, terrain, schedule, times, every, seed, grounds, bool(met.any()), draws=draws)
     scene = scene if before is None else scene.after(before, time_step_s)
-    paths, states, results, steered = driven = drive_all(scene, overrides, len(times[::every]), progress)
-    finer = drive_finer(scene, overrides, driven)
+    (paths, states, results, steered), finer = drive_each(scene, overrides, len(times[::every]), met, progress)
     halted = schedule.pace_at(times[::every]) < UNDER_WAY
     for_people(scene, paths, states, results[:, 1], halted)
     return Prediction(
@@ -311,7 +312,7 @@ def predict(
         recorded=results[:, 1],
         outcome=results[:, 0],
         grounds=grounds,
-        ruts=ruts,
+        ruts=met,
         before=before,
         finer=finer,
         draws=draws,
@@ -332,12 +333,12 @@ def _steps(schedule: Schedule, members: int, time_step_s: float, sample_m: float
     return np.linspace(0.0, schedule.duration_s, stops * every + 1), every
 
 
-def _check_plans(plan: Plan, before: Plan | None, rover: Rover, ruts: bool) -> None:
+def _check_plans(plan: Plan, before: Plan | None, rover: Rover, ruts: bool | BoolArray) -> None:
     """Raises ParameterError for a plan that the rover cannot follow, and for one before where ruts are left out."""
     check_plan(plan, rover)
     if before is not None:
         check_plan(before, rover)
-        if not ruts:
+        if not np.all(ruts):
             raise ParameterError("a plan driven before leaves nothing but ruts, which are left out; ask for ruts, too")
 
 

@@ -443,19 +443,50 @@ def drive_all(
     return result
 
 
+def drive_each(
+    scene: DriveSetup,
+    overrides: FloatArray,
+    samples: int,
+    ruts: BoolArray,
+    progress: Callable[[int, int], None] | None,
+) -> tuple[Driven, IntArray]:
+    """Drive all members, those that meet `ruts` (members,) and the others, and again those that need shorter steps.
+
+    With how many times shorter these are. (members,)
+    """
+    whole, finer, done = MemberDrives(scene, overrides, samples).empty(len(ruts)), np.ones(len(ruts), dtype=np.int64), 0
+    for met in (True, False):
+        some = np.flatnonzero(ruts == met)
+        if not some.size:
+            continue
+        part = dataclasses.replace(scene, ruts=met, only=None if some.size == len(ruts) else some)
+
+        def on(count: int, _: int, before: int = done) -> None:
+            if progress is not None:
+                progress(before + count, len(ruts))
+
+        driven = drive_all(part, overrides[some], samples, None if progress is None else on)
+        finer[some] = drive_finer(part, overrides[some], driven)
+        for target, rows in zip(whole, driven, strict=True):
+            target[some] = rows
+        done += some.size
+    return whole, finer
+
+
 def drive_finer(scene: DriveSetup, overrides: FloatArray, driven: Driven) -> IntArray:
     """Drive members again whose soil the step does not hold, with a shorter one; how many times shorter. (members,)"""
     paths, states, results, steered = driven
     finer = np.ones(len(overrides), dtype=np.int64)
+    numbers = np.arange(len(overrides)) if scene.only is None else scene.only
     for factor in FINER:
         again = np.flatnonzero(results[:, 0] == DIVERGED)
         if not again.size or (len(scene.times_s) - 1) * factor > MOST_STEPS:
             break
-        records = drive_all(scene.finer(factor, again), overrides[again], paths.shape[1], None)
+        records = drive_all(scene.finer(factor, numbers[again]), overrides[again], paths.shape[1], None)
         paths[again], states[again], results[again], steered[again] = records
         finer[again] = factor
     for member in np.flatnonzero((results[:, 0] == DIVERGED) & (results[:, 1] > 0)):
-        ground = scene.terrain if scene.grounds is None else scene.grounds.terrain(int(member))
+        ground = scene.terrain if scene.grounds is None else scene.grounds.terrain(int(numbers[member]))
         if _meets_cliff(scene, ground, states[member, results[member, 1] - 1, :, :2]):
             results[member, 0] = CLIFF
     return finer

@@ -148,7 +148,7 @@ def time_gaps(telemetry: Telemetry, findings: Findings) -> BoolArray:
     steps, rested = np.diff(telemetry.time_s), telemetry.rested
     usual = float(np.median(steps[~rested]))
     gaps = np.asarray((steps > GAP * usual) & ~rested)
-    what = f"nothing was sent for {steps[gaps].sum():.4g} s in all, {usual:.3g} s between rows being usual"
+    what = f"nothing was sent for {steps[gaps].sum():.4g} s in all; rows are usually {usual:.3g} s apart"
     findings.of_rows("gap", what, "there are no states within gaps", gaps, telemetry.time_s)
     return gaps
 
@@ -168,8 +168,8 @@ def steering_angles(telemetry: Telemetry, rover: Rover, findings: Findings) -> t
     for k, (wheel, rows) in enumerate(zip(rover.wheels, given.T, strict=True)):
         if not rows.any():
             raise DataError(f"{telemetry.file}: no row has a steering angle of wheel {wheel}")
-        what = f"rows without a steering angle of wheel {wheel}"
-        done = "found from the rows beside; its states are not valid there"
+        what = f"rows lack the steering angle of wheel {wheel}"
+        done = "it follows from the rows beside; its states are not valid there"
         findings.of_rows("missing steering", what, done, ~rows, telemetry.time_s)
         angle[:, k] = filled(telemetry.time_s, angle[:, k])
     return angle, given
@@ -311,10 +311,10 @@ def check_far(rows: IndexArray, telemetry: Telemetry, way_m: FloatArray, finding
         longest = int(far[np.argmax(ways[far])])
         begin, end = telemetry.time_s[ends[longest : longest + 2]]
         what = (
-            f"no position between {begin:.6g} and {end:.6g} s, {ways[longest]:.3g} m by the wheels where {usual:.2g} m "
-            "are usual"
+            f"no position between {begin:.6g} and {end:.6g} s, while the wheels roll {ways[longest]:.3g} m; "
+            f"{usual:.2g} m are usual"
         )
-        done = "slip there is told by one state or none; what it was on the way is not known"
+        done = "at most one state shows the slip there"
         findings.add("far positions", what, done, count=far.size, time_s=float(begin))
 
 
@@ -325,8 +325,8 @@ def check_slips(slip: FloatArray, measured: BoolArray, time_s: FloatArray, findi
     """
     fast = measured & (np.abs(slip) > VALID_SLIP)
     count = f"{fast.sum()} of {measured.sum()} states"
-    what = f"{count} slip by more than {VALID_SLIP:g}, beyond what the wheel model holds for"
-    done = "kept here, in medians and ranges too, but marked not valid: `twin update` learns no soil from them"
+    what = f"{count} slip by more than {VALID_SLIP:g}, where the wheel model no longer holds"
+    done = "medians and ranges include them; `twin update` leaves them out, as their `valid` is false"
     findings.of_rows(FAST, what, done, fast, time_s)
 
 
@@ -676,7 +676,9 @@ def usable_headings(telemetry: Telemetry, turned_deg: FloatArray, findings: Find
     bad = "heading error", "yaw_deg_sigma is missing, 0 or negative"
     used = _used("heading", bad, telemetry, telemetry.yaw_deg[:, None], sigma, turned_deg, findings)
     blank = np.isnan(telemetry.yaw_deg)
-    findings.of_rows("missing headings", "rows without yaw_deg", "found from the others", blank, telemetry.time_s)
+    findings.of_rows(
+        "missing headings", "rows lack yaw_deg", "their headings follow from other rows", blank, telemetry.time_s
+    )
     yaw = np.where(used, telemetry.yaw_deg, np.nan)
     yaw[used] = _without_full_turns(yaw[used], turned_deg[used])
     return dataclasses.replace(telemetry, yaw_deg=yaw)
@@ -733,9 +735,9 @@ def check_attitude(telemetry: Telemetry, held: PrescribedLoads, rows: IndexArray
             continue
         mounted = float(np.median(a - b))
         turned = abs(mounted) < MOUNTED_DEG and off(a - mounted) < 0.5 * ATTITUDE_DEG
-        hint = "; it has the other sign" if off(-a) < 0.4 * off(a) else ""
-        hint = "; it looks like rad" if off(np.degrees(a)) < 0.4 * off(a) else hint
-        cause = f"its sensor is turned by {mounted:.2g} deg" if turned else "another terrain, frame or sign"
-        what = f"{name} is {off(a):.3g} deg off the terrain's in the median{hint}: {cause}"
+        cause = f"its sensor is turned by {mounted:.2g} deg" if turned else "it is of another terrain or frame"
+        cause = "it has the other sign" if off(-a) < 0.4 * off(a) else cause
+        cause = "it looks like rad" if off(np.degrees(a)) < 0.4 * off(a) else cause
+        what = f"{name} differs from the terrain's by {off(a):.3g} deg in the median: {cause}"
         done = "the terrain's is taken"
         findings.add("attitude against terrain", what, done, count=int(given.sum()), doubt=not turned)

@@ -434,8 +434,8 @@ MOTION = (
 drift, seconds of lag; assumed."""
 SLIDE = Hypothesis(
     "slide at a halt", (SLIDES, SLIDES + 1), 0.3, "the rover moves {} m ahead and {} m to the left between {:.6g} and "
-    "{:.6g} s {}, or positions are of another frame from then on",
-    "the motion holds it, and slips are found on either side",
+    "{:.6g} s {}, or later positions are in another frame",
+    "the motion includes the shift, and slips on either side are right",
 )  # fmt: skip
 """The same of each halt and jump, as `MOTION` has the localised point."""
 

@@ -41,6 +41,9 @@ AGREEMENT, LEAST_EFFECT = 0.4, 0.1
 twice as much moves slips by 0.07 of their errors at most, as measured."""
 MEASURED = ("fix_m", "fix_covariance_m2", "fix_shared_m2", "yaw_deg", "yaw_deg_sigma", "roll_deg", "pitch_deg")
 """Columns of `Telemetry` that are by the clock of the positions."""
+UNKNOWN_SLIP = 3.0**-0.5
+"""Standard deviation of a slip of which nothing is known but that it is -1 to 1: half the width over the root of 3, by
+definition of a uniform distribution. [-]"""
 SLIP_FLOOR, SIDE_SLIP_FLOOR_DEG = 0.001, 0.08
 """What is left where all sensors are all but perfect, measured: 0.0005 to 0.0009 and 0.04 to 0.06 deg on six made-up
 drives over ground of 0 to 5 mm roughness; the steering's own error of 0.1 deg, of which a few rows are averaged, adds
@@ -360,12 +363,14 @@ def slips_of(velocities: WheelVelocities, motion: Motion) -> Slips:
     rim, sign = np.abs(motion.speed_m_s), np.sign(motion.speed_m_s)
     v_x, v_y = sign * velocities.v_x, sign * velocities.v_y
     travel = v_x / rim
-    slip = np.where(travel <= 1.0, 1.0 - travel, 1.0 / np.maximum(travel, 1.0) - 1.0)
+    # Where the rover slides back slip is 1, as the twin has it.
+    slip = np.where(travel <= 1.0, 1.0 - np.maximum(travel, 0.0), 1.0 / np.maximum(travel, 1.0) - 1.0)
     side = np.degrees(np.arctan2(v_y, np.abs(v_x)))
     across, covariance = velocities.across, velocities.covariance
     by = np.concatenate([sign[..., None] * velocities.along / rim[..., None], -travel[..., None]], axis=-1)
     steep = np.where(slip >= 0, 1.0, (1.0 + np.minimum(slip, 0.0)) ** 2)
     travel_sigma = np.sqrt(np.einsum("mwi,mij,mwj->mw", by, covariance, by))
+    slip_sigma = np.minimum(np.hypot(steep * travel_sigma, SLIP_FLOOR), UNKNOWN_SLIP)
     scale_sigma = np.sqrt(np.maximum(covariance[:, 3, 3], 1e-300))[:, None]
     shared = steep * np.abs(np.einsum("mwi,mi->mw", by, covariance[:, :, 3])) / scale_sigma
     # A wheel that does not move at all, as at a halt, has no direction; its state is not measured.
@@ -374,6 +379,4 @@ def slips_of(velocities: WheelVelocities, motion: Motion) -> Slips:
         ..., None
     ]
     side_sigma = np.degrees(np.sqrt(np.einsum("mwi,mij,mwj->mw", weights, covariance[:, :3, :3], weights)))
-    return Slips(
-        slip, side, np.hypot(steep * travel_sigma, SLIP_FLOOR), np.hypot(side_sigma, SIDE_SLIP_FLOOR_DEG), shared
-    )
+    return Slips(slip, side, slip_sigma, np.hypot(side_sigma, SIDE_SLIP_FLOOR_DEG), np.minimum(shared, slip_sigma))

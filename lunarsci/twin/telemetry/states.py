@@ -283,7 +283,7 @@ def report_hypotheses(smoothed: Smoothed, nodes: Nodes, priors: Priors, lag: Lag
         elif one.slide >= 0:
             first, last = nodes.slides[one.slide]
             halted, time_s = one.slide < len(nodes.halts), float(nodes.time_s[first])
-            how = "while its wheels stand: it slid" if halted else "beside what its wheels roll: it slipped suddenly"
+            how = "while its wheels stand: it slid" if halted else "more than its wheels roll: it slipped suddenly"
             values += [time_s, nodes.time_s[last], how]
             # Farther than its wheels roll no slip makes it go.
             moved = float(np.hypot(*(smoothed.state[last, :2] - smoothed.state[first, :2])))
@@ -332,7 +332,7 @@ def report_outliers(smoothed: Smoothed, nodes: Nodes, findings: Findings) -> Non
     ends = [name for name, node in (("first", fixes[0]), ("last", fixes[-1])) if node in left]
     if ends:
         what += f", the {' and the '.join(ends)} one too"
-        done += ": none beyond it tells whether it is wrong, or the rover went there and the motion is wrong"
+        done += "; no position lies beyond it to say whether it or the motion is wrong"
     doubt = "last" in ends or len(left) > MOST_LEFT_OUT * len(fixes)
     findings.add("position jump", what, done, count=len(left), time_s=float(nodes.time_s[left[0]]), doubt=doubt)
 

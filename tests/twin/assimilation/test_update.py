@@ -104,13 +104,17 @@ def test_ruts_are_taken_where_they_explain_the_drive_better(yutu2: Rover, ground
 def test_soils_are_of_both_cases_as_probable_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
     """Draws of 0 without ruts, of 1 with them; what is all but impossible has none."""
     same = SimpleNamespace(transforms=lambda points: points)
-    made = {ruts: SimpleNamespace(coordinates=same, number=float(ruts)) for ruts in (False, True)}
+    made = {
+        ruts: SimpleNamespace(coordinates=same, number=float(ruts), drive=SimpleNamespace(ruts=ruts))
+        for ruts in (False, True)
+    }
     monkeypatch.setattr(update, "draw_particles", lambda fit, mode, count, *_: (np.full((count, 8), fit.number), 0.1))
     for share, expected in ((0.25, 16), (0.001, 0)):
         fits: Any = [SimpleNamespace(posterior=made[False], mode=None, probability=1 - share),
                      SimpleNamespace(posterior=made[True], mode=None, probability=share)]  # fmt: skip
-        points, left = update._drawn(fits, 64, np.random.default_rng(0), None)
+        points, met, left = update._drawn(fits, 64, np.random.default_rng(0), None)
         assert points.shape == (64, 8) and points[:, 0].sum() == expected and left == 0.1
+        assert np.array_equal(met, points[:, 0] == 1.0)
 
 
 def test_the_evidence_counts_the_errors_that_were_allowed(yutu2: Rover, ground: Terrain, record: DriveRecord) -> None:
@@ -422,7 +426,7 @@ def predicted(found: SoilUpdate, record: DriveRecord, slips: FloatArray, folder:
     """Median slips of `twin predict`, of its drives at the measured states, as a new user comes to them."""
     terrain, belief = folder / "ground.npz", folder / "belief.json"
     terrain.write_bytes(terrain_bytes(found.prediction.terrain))
-    entry = {"states": "states.csv", "ruts": found.prediction.ruts}
+    entry = {"states": "states.csv", "ruts": bool(found.prediction.ruts.all())}
     belief.write_text(with_drive(found.belief, first_belief(), entry).to_json())
     assert json.loads(belief.read_text())["order"] == [*PARAMETERS, *ROLLING]
     drives = predict_job(ROLLING_PLAN, terrain=str(terrain), soil=(str(belief),), seed=3).prediction

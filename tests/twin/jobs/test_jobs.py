@@ -82,5 +82,5 @@ def test_what_may_help_goes_by_what_is_broken(broken: str, advice: str) -> None:
     best = SimpleNamespace(broken=[SimpleNamespace(quantity=broken)])
     choice = SimpleNamespace(best=best, candidates=[], front=[])
     what_next: Any = ChosenDrive.what_next
-    text = what_next.fget(SimpleNamespace(choice=choice))
+    text = what_next.fget(SimpleNamespace(choice=choice, scouting="a short drive"))
     assert advice in text and ("`twin update` learns the soil" in text) == (broken == "slip_ratio")

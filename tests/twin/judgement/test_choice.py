@@ -130,7 +130,9 @@ def test_the_weakest_place_is_where_the_ground_is_steepest(yutu2: Rover, conditi
     only = (limit("tilt_deg", 8.0, "deg"),)
     weak = verdicts(drive_candidates(there, [plan(Leg(6.0), limits=only)], range(16))[0]).weakest
     assert weak.quantity == "tilt_deg" and weak.failed == 16 and "tilt_deg" in weak.why
-    assert 2.4 < weak.x_m < 4.6 and weak.distance_m == pytest.approx(weak.x_m, abs=0.6)
+    assert 2.4 < weak.x_m < 4.6
+    # The place on the way that is drawn, not that of drives which slip and slide off it.
+    assert (weak.x_m, weak.y_m) == pytest.approx((weak.distance_m, 0.0), abs=1e-9)
 
 
 def test_members_driven_in_parts_are_those_driven_at_once(conditions: Conditions) -> None:
@@ -216,7 +218,7 @@ def test_where_none_keeps_the_risk_it_says_what_stands_in_the_way(conditions: Co
     limits = {one.quantity: one for one in broken if one.quantity != "unfinished"}
     assert {name: one.limit for name, one in limits.items()} == {"tilt_deg": 10.0, "sinkage_m": 1e-4}
     for name, one in limits.items():
-        assert one.value > one.limit and one.short.startswith(f"{name} {one.value:.3g} of {one.limit:.3g} ")
+        assert one.value > one.limit and one.short.startswith(f"{name} {one.value:.3g}")
         assert one.short.endswith(f"({one.failed} drives)")
 
 

@@ -57,6 +57,7 @@ class Slides:
         paths[..., 5] = np.degrees(planned[:, 2])
         rover = dataclasses.replace(self.rover, body=None)
         return Prediction(
+            ruts=np.zeros(count, dtype=bool),
             rover=rover, terrain=None, plan=plan, seed=0, time_step_s=0.1, parameters={}, time_s=times,  # type: ignore[arg-type]
             distance_m=schedule.distance_at(times), planned=planned, paths=paths,
             states=np.zeros((count, len(times), 6, 10)), halted=np.zeros(len(times), dtype=bool),

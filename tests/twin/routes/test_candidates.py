@@ -54,7 +54,7 @@ def crossing(plan: Plan, x_m: float) -> float:
 
 def test_one_block_is_passed_on_both_sides_and_never_touched() -> None:
     surface = seen(blocks((5.0, 0.0, 0.5)))
-    plans = candidate_plans(surface, YUTU2, START, (10.0, 0.0), most=20)
+    plans = candidate_plans(surface, YUTU2, START, (10.0, 0.0), most=20).plans
     ahead = [plan for plan in plans if {leg.crab_deg for leg in plan.legs} == {0.0} and not plan.legs[0].turn_deg]
     where = [crossing(plan, 5.0) for plan in ahead]
     assert max(where) > 1.0 and min(where) < -1.0
@@ -67,7 +67,7 @@ def test_one_block_is_passed_on_both_sides_and_never_touched() -> None:
 def test_two_blocks_in_a_row_have_ways_between_them() -> None:
     """Two blocks beside each other, 3.4 m apart: left of both, between, right of both."""
     surface = seen(blocks((5.0, 2.2, 0.5), (5.0, -2.2, 0.5)))
-    plans = candidate_plans(surface, YUTU2, START, (10.0, 0.0), most=40)
+    plans = candidate_plans(surface, YUTU2, START, (10.0, 0.0), most=40).plans
     where = np.array([crossing(plan, 5.0) for plan in plans if plan.legs[0].crab_deg == 0 and plan.legs[0].length_m])
     assert (where > 2.7).any() and (where < -2.7).any() and (np.abs(where) < 1.7).any()
 
@@ -99,11 +99,20 @@ def test_places_of_courses_lie_at_equal_shares_of_their_lengths() -> None:
         assert places == pytest.approx(expected, abs=1e-3)
 
 
+def test_it_says_why_there_are_no_more_drives() -> None:
+    """Of a rover of one length in a lane as wide as it is, that cannot turn there."""
+    lane = np.where(np.abs(Y)[:, None] > 1.3, 1.0, 0.0) + 0.0 * X
+    found = candidate_plans(seen(lane), YUTU2, START, (10.0, 0.0), most=40)
+    assert 0 < len(found.plans) < 40
+    assert "'turn +180° back'; " in found.why_no_more
+    assert f"{found.alike} ways left out" in found.why_no_more
+
+
 def test_manners_are_those_that_the_place_of_the_target_asks_for() -> None:
     surface = seen(blocks())
-    behind = candidate_plans(surface, YUTU2, (6.0, 0.0, 0.0), (2.0, 0.0), most=10)
+    behind = candidate_plans(surface, YUTU2, (6.0, 0.0, 0.0), (2.0, 0.0), most=10).plans
     assert behind[0].legs[0].crab_deg == 180.0 and behind[0].length_m == pytest.approx(4.0)
-    beside = candidate_plans(surface, YUTU2, START, (3.0, 4.0), most=10)
+    beside = candidate_plans(surface, YUTU2, START, (3.0, 4.0), most=10).plans
     turned = [plan for plan in beside if plan.legs[0].turn_deg]
     assert {round(plan.legs[0].turn_deg) for plan in turned} == {53, -127}
     assert min(plan.length_m for plan in turned) == pytest.approx(5.0)
@@ -112,7 +121,7 @@ def test_manners_are_those_that_the_place_of_the_target_asks_for() -> None:
 def test_crab_is_small_where_wheels_would_be_dragged_and_wide_where_all_steer() -> None:
     most = {}
     for rover in ("yutu2", "small-four"):
-        plans = candidate_plans(seen(blocks(), rover), build_rover(rover), START, (4.0, 3.0), most=30)
+        plans = candidate_plans(seen(blocks(), rover), build_rover(rover), START, (4.0, 3.0), most=30).plans
         crabs = {abs(leg.crab_deg) for plan in plans for leg in plan.legs if leg.length_m} - {0.0, 180.0}
         most[rover] = max(crabs)
     assert most["yutu2"] == 5.0
@@ -134,7 +143,7 @@ def test_manners_on_the_left_are_those_on_the_right(side: float) -> None:
 
 def test_localisation_updates_cut_the_way_into_shorter_legs_of_the_same_course() -> None:
     surface, fixes = seen(blocks()), Fixes(0.05, 0.5)
-    plans = candidate_plans(surface, YUTU2, START, (10.0, 0.0), fixes=fixes, most=12)
+    plans = candidate_plans(surface, YUTU2, START, (10.0, 0.0), fixes=fixes, most=12).plans
     free, halting = ([plan for plan in plans if (plan.fixes is None) == none] for none in (True, False))
     assert free and halting and len(plans) == 12
     straight = [plan for plan in halting if all(leg.curvature_per_m == 0 and leg.crab_deg == 0 for leg in plan.legs)]

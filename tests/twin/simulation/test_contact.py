@@ -178,3 +178,14 @@ def test_a_rut_beside_the_way_is_not_met(yutu2: Rover, slope, longji_soil: Soil)
     one = predict(yutu2, slope(), STRAIGHT, ruts=True)
     two = predict(yutu2, slope(), STRAIGHT, ruts=True, before=aside)
     assert two.paths == pytest.approx(one.paths, abs=1e-12)
+
+
+def test_members_meet_ruts_as_each_of_them_is_asked(yutu2: Rover, slope) -> None:  # type: ignore[no-untyped-def]
+    """Those with ruts and those without, side by side, drive as where all are alike."""
+    soils = {"friction_angle_deg": np.linspace(25.0, 45.0, 7)}
+    ruts = np.arange(7) % 3 == 0
+    alike = {met: predict(yutu2, slope(), STRAIGHT, samples=soils, ruts=met) for met in (False, True)}
+    mixed = predict(yutu2, slope(), STRAIGHT, samples=soils, ruts=ruts)
+    assert np.array_equal(mixed.ruts, ruts)
+    for member, met in enumerate(ruts):
+        assert np.array_equal(mixed.states[member], alike[bool(met)].states[member])

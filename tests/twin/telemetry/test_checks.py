@@ -612,11 +612,11 @@ def test_a_heading_that_repeats_is_held_where_noise_or_a_turn_would_have_changed
     [
         (0.5, 1.9, None),
         (0.5, -0.8, None),
-        (0.5, 2.1, "1.6 deg off .* its sensor is turned by 1.6 deg"),
+        (0.5, 2.1, "1.6 deg in .* its sensor is turned by 1.6 deg"),
         (-2.0, -3.3, None),
-        (-2.0, -0.4, "1.6 deg off .* its sensor is turned"),
+        (-2.0, -0.4, "1.6 deg in .* its sensor is turned"),
         (10.0, 15.9, None),
-        (10.0, 3.9, "6.1 deg off the terrain's in the median: another"),
+        (10.0, 3.9, "6.1 deg in the median: it is of another"),
         (4.0, -4.0, "it has the other sign"),
         (20.0, 0.35, "it looks like rad"),
     ],
@@ -633,7 +633,7 @@ def test_attitude_differs_from_the_terrains_by_a_degree_and_a_half_or_60_percent
     sent: Any = SimpleNamespace(**columns)
     held: Any = SimpleNamespace(paths=paths)
     findings = Findings("sent.csv")
-    with nullcontext() if said is None else pytest.warns(LunarSciWarning, match=f"{name} is .*{said}"):
+    with nullcontext() if said is None else pytest.warns(LunarSciWarning, match=f"{name} differs .*{said}"):
         check_attitude(sent, held, np.arange(9), findings)
     assert len(findings.entries) == (said is not None)
     assert bool(findings.doubt) == (said is not None and "turned" not in said)

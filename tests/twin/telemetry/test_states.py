@@ -3,6 +3,8 @@
 import dataclasses
 import io
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -23,6 +25,7 @@ from lunarsci.twin.rover import Rover
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS, Prediction, predict
 from lunarsci.twin.telemetry.checks import with_positions
 from lunarsci.twin.telemetry.filter import ErrorChain, Nodes
+from lunarsci.twin.telemetry.nodes import slips_of
 from lunarsci.twin.telemetry.reading import Findings, Positions, read_positions, read_telemetry
 from lunarsci.twin.telemetry.simulated import SensorErrors, SyntheticDrive, simulate_telemetry
 from lunarsci.twin.telemetry.sinkage import RutPoints, deepest_wheel, read_track, rut_points, with_sinkage
@@ -496,3 +499,17 @@ def test_parquet_of_more_cells_than_there_is_memory_for_is_refused_before_it_is_
     buffer.seek(0)
     with pytest.raises(DataError, match="50 million cells in a group of rows, and at most 50 million are read"):
         list(parquet_tables(InputStream("wide.parquet", buffer)))
+
+
+def test_a_wheel_that_slides_back_slips_by_1_at_most() -> None:
+    """Rims roll 0.1 m/s; the rover goes at 0.08 m/s, stands, slides back, or drags them at 0.2 m/s."""
+    v_x = np.array([[0.08], [0.0], [-0.5], [0.2]])
+    along, across = (np.tile(part, (4, 1, 1)) for part in ([[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]]))
+    covariance = np.tile(np.diag([0.2, 0.0, 0.0, 0.03]) ** 2, (4, 1, 1))
+    velocities: Any = SimpleNamespace(v_x=v_x, v_y=0.0 * v_x, along=along, across=across, covariance=covariance)
+    motion: Any = SimpleNamespace(speed_m_s=np.full((4, 1), 0.1))
+    slips = slips_of(velocities, motion)
+    assert slips.slip_ratio.ravel() == pytest.approx([0.2, 1.0, 1.0, -0.5])
+    # An error of 2 is one of which only the range is known.
+    assert slips.slip_ratio_sigma.ravel()[:3] == pytest.approx(3.0**-0.5)
+    assert (slips.slip_ratio_shared <= slips.slip_ratio_sigma).all()
