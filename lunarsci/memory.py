@@ -281,6 +281,8 @@ def _archive(arrays: Mapping[str, Any]) -> bytes:
 
 def _of_dict(value: Mapping[Any, Any]) -> tuple[bytes, str]:
     named = {str(key): one for key, one in value.items()}
+    if not {"schema", "features", "geometry", "coordinates"}.isdisjoint(named):
+        return json.dumps(named, default=_listed).encode(), ".json"
     dimensions = [_dimensions(one) for one in named.values() if not isinstance(one, str)]
     if 2 in dimensions:
         return _archive(named), ".npz"
@@ -290,8 +292,6 @@ def _of_dict(value: Mapping[Any, Any]) -> tuple[bytes, str]:
         if len(lengths) > 1:
             raise DataError(f"<dict>: its columns are {sorted(lengths)} long; give all the same number of rows")
         return _csv(named), ".csv"
-    if not {"schema", "features", "geometry", "coordinates"}.isdisjoint(named):
-        return json.dumps(named, default=_listed).encode(), ".json"
     return toml_text(named).encode(), ".toml"
 
 

@@ -175,5 +175,6 @@ TAKEN_BY = {
     "regolith identify": ("regolith compare",),
     "regolith infer": ("twin predict --soil", "regolith compare"),
     "twin predict": ("twin compare",),
+    "twin update": ("twin predict --soil", "twin update --soil", "twin history"),
 }
 """Commands that take the result of another, by that one's name."""

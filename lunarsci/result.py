@@ -257,7 +257,7 @@ class Result(ABC):
 
     @property
     def untrusted(self) -> str:
-        return str(self.doubt)
+        return in_python(str(self.doubt))
 
     @property
     def failures(self) -> Sequence[Failure]:

@@ -4,6 +4,7 @@ import copy
 import importlib
 import inspect
 import io
+import json
 import os
 import pickle
 import re
@@ -29,7 +30,7 @@ from lunarsci.io.inputs import read_input
 from lunarsci.memory import as_named, content_of, named_within, on_disk, toml_text
 from lunarsci.options import in_python
 from lunarsci.regolith.soil import read_soil
-from lunarsci.result import Result
+from lunarsci.result import Doubt, Result
 from lunarsci.twin.ground.terrain import read_terrain
 
 ROOT = Path(__file__).parents[1]
@@ -150,6 +151,10 @@ class OfRoles(Result):
 
     schema = "of-roles/1"
 
+    @property
+    def doubt(self) -> Doubt:
+        return Doubt.of("/tmp/lunarsci-slla84jr/tmp36n04av1/soil/soil.json is odd; give another by --soil")
+
     def to_dict(self) -> dict[str, Any]:
         return {}
 
@@ -163,6 +168,7 @@ class OfRoles(Result):
 
 def test_a_result_is_the_file_that_an_input_is_read_from() -> None:
     assert as_named(on_disk("terrain", OfRoles())) == "a.csv"
+    assert OfRoles().untrusted == "soil.json is odd; give another by soil"
     folder = Path(on_disk("predicted", OfRoles()))
     assert folder.name == "of-roles" and sorted(one.name for one in folder.iterdir()) == ["a.csv", "b.csv"]
     assert [Path(one).read_text() for one in on_disk("terrain", [OfRoles()] * 2)] == ["a", "a"]
@@ -205,6 +211,8 @@ def test_a_dict_is_toml_or_json() -> None:
         b'{"type": "FeatureCollection", "features": []}',
         ".json",
     )
+    line = {"type": "LineString", "coordinates": [[0, 1], [2, 3]]}
+    assert content_of(line) == (json.dumps(line).encode(), ".json")
 
 
 def test_a_file_that_was_read_is_read_again() -> None:

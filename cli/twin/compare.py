@@ -156,7 +156,7 @@ def _tables(compared: ComparedDrive) -> list[TextTable]:
         *(f"because {reason}" for reason in judged.reasons),
         *(f"near the edge: {text}" for text in judged.near),
     ]
-    notes += [f"because {compared.untrusted}"] if compared.verdict == "doubtful" else []
+    notes += [f"because {compared.doubt}"] if compared.verdict == "doubtful" else []
     head = TextTable(
         ["place", "what", "value"],
         [*_end_rows(judged.end), *_miss_rows(miss_of(matched)), *_path_rows(judged.path)],

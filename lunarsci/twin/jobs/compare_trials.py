@@ -182,7 +182,7 @@ def _scored(name: str, measured: MeasuredStates, given: GivenSoil, soils: TrialS
     terrain = _on_soil(inputs.terrain, given.named)
     turns = WheelTurns.of(drive.telemetry, inputs.rover, begin)
     score = score_trial(name, inputs.rover, terrain, motion, turns, record, soils, seed)
-    return replace(score, doubt=measured.untrusted, synthetic=drive.telemetry.synthetic)
+    return replace(score, doubt=str(measured.doubt), synthetic=drive.telemetry.synthetic)
 
 
 def _on_soil(terrain: Terrain, named: str | None) -> Terrain:

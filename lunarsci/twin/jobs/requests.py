@@ -289,7 +289,7 @@ class DriveRequest(RoverOnGround):
     Attributes
     ----------
     soil : Soil, in place of the terrain's: a name or a TOML file; or a file from which each drive has its own: CSV with
-        a row each; or the JSON or draws of `regolith infer`, a belief of `twin update` or its map (JSON), from which 64
+        a row each; or the JSON or draws of `regolith infer`, or the JSON, belief or map of `twin update`, from which 64
         are drawn unless `members` is given; or `priors`, or a file of `template prior`: what is believed before any
         drive. Repeatable: a name beside a CSV that lacks parameters.
     sweep : Uncertain soil parameter, repeatable; replaces the plan's sweeps.
