@@ -34,15 +34,16 @@ from lunarsci.io.inputs import (
     text,
 )
 from lunarsci.io.tables import as_csv, read_csv_table, separator_of
+from lunarsci.memory import toml_text
 from lunarsci.names import some_of
 from lunarsci.registry import FORMATS, KINDS, TAKEN_BY, WHEEL
 from lunarsci.regolith.columns import QUANTITIES, of_name
-from lunarsci.regolith.prior import UNITS, read_prior
-from lunarsci.regolith.soil import read_soil
+from lunarsci.regolith.prior import UNITS, default_prior, read_prior
+from lunarsci.regolith.soil import read_soil, soil_tables
 from lunarsci.regolith.states import read_state_table
 from lunarsci.regolith.wheel import left_to_defaults, read_wheel
 from lunarsci.result import Doubt, MadeFrom, Result
-from lunarsci.rovers import RoverDescription, read_rover, rover_names
+from lunarsci.rovers import RoverDescription, read_rover, rover_names, wheel_names
 from lunarsci.spectra.readers.arrangements import header_channels
 from lunarsci.spectra.readers.columns import is_wavelength
 from lunarsci.spectra.readers.dispatch import read_spectra, recognised
@@ -196,9 +197,9 @@ def info(path: str | Path) -> FileInfo:
     """
     name = str(path)
     folder = Path(path)
-    if not folder.exists() and name in rover_names():
-        rover = InputFile(name, read_rover(name).text.encode())
-        return FileInfo(file=name, sha256=rover.sha256, kind="rover", contents=CONTENTS["rover"](rover))
+    if not folder.exists() and (kind := next((one for one, names in named_here().items() if name in names), "")):
+        file = InputFile(name, named_here()[kind][name].encode())
+        return FileInfo(file=name, sha256=file.sha256, kind=kind, contents=CONTENTS[kind](file))
     if folder.is_dir():
         if not (folder / "result.json").is_file():
             return _folder(name)
@@ -217,6 +218,16 @@ def info(path: str | Path) -> FileInfo:
         file=name, sha256=sha256, kind=kind, contents=contents, trouble=trouble, remarks=remarks, further=further,
         stored=stored,
     )  # fmt: skip
+
+
+def named_here() -> dict[str, Mapping[str, str]]:
+    """What comes with lunarsci and options take by name: kind, and name with its text as a file."""
+    laws = {name: asdict(law) for name, law in default_prior().items()}
+    return {
+        "rover": {name: read_rover(name).text for name in (*rover_names(), *wheel_names())},
+        "soil": {name: toml_text(table) for name, table in soil_tables().items()},
+        "prior": {"priors": toml_text(laws)},
+    }
 
 
 def _folder(name: str) -> FileInfo:
@@ -615,7 +626,9 @@ def _is_numeric(value: Any) -> bool:
 
 def _soil(file: InputFile) -> Mapping[str, Any]:
 
-    return asdict(read_soil(file.name))
+    about = soil_tables().get(file.name, {})
+    assumed = {"assumed": ", ".join(about["assumed"]), "source": about["source"]} if about else {}
+    return asdict(read_soil(file.name)) | assumed
 
 
 def _prior(file: InputFile) -> Mapping[str, Any]:

@@ -1,6 +1,7 @@
 """What files are, files to begin with, what to cite, and whether lunarsci works here."""
 
 import ast
+import inspect
 import io
 import json
 import os
@@ -15,13 +16,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from lunarsci.cli.info import info as command_info
 
 import lunarsci
 from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.guide import doctor
 from lunarsci.guide.cite import REFERENCE, SEVERAL, CitedSources, cite, reference_of, reference_to, works
 from lunarsci.guide.cite import _cited as cite_of
-from lunarsci.guide.info import CONTENTS, CSV_COLUMNS, MAGIC_BYTES, SUFFIXES, TOML_KEYS, info
+from lunarsci.guide.info import CONTENTS, CSV_COLUMNS, MAGIC_BYTES, SUFFIXES, TOML_KEYS, info, named_here
 from lunarsci.guide.template import KINDS as TEMPLATES
 from lunarsci.guide.template import described, template
 from lunarsci.io.inputs import InputFile
@@ -470,5 +472,11 @@ def test_a_wheel_alone_is_taken_by_what_is_listed_and_what_it_lacks_is_counted(t
     assert str(found.contents["assumed numbers"]).startswith("4: ") and usual in found.contents.values()
     assert found.commands[0] == "lunarsci regolith infer --rover"
     assert all(one.startswith("lunarsci regolith ") for one in found.commands)
+    words = inspect.getdoc(command_info) or ""
+    assert [name for names in named_here().values() for name in names if name not in words] == []
+    assert info("rashid-1").commands == found.commands and info("priors").contents["cohesion_pa"].startswith("600 Pa")
+    assert {"cohesion_pa": 520.0, "assumed": "external_friction_angle_deg, lateral_modulus_mm"}.items() <= dict(
+        info("lunar-typical").contents
+    ).items()
     own = info("yutu2")
     assert usual not in own.contents.values() and "lunarsci twin predict --rover" in own.commands
