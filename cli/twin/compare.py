@@ -286,7 +286,7 @@ def trial_tables(scored: ScoredTrials) -> list[TextTable]:
     notes = [
         "error: root mean square of predicted less measured over the states, and the distance of the ends; wheels: the "
         "same of the way that the wheels go without slip",
-        f"predicted on soils of {record['soil']['name']} ({record['soil']['of']})",
+        f"predicted on soils of {record['soil']['name']}",
         *([f"{made} of the trials are synthetic"] if (made := sum(trial.synthetic for trial in scored.trials)) else []),
         *(f"{trial.trial} is doubtful: {trial.doubt}" for trial in scored.trials if trial.doubt),
     ]

@@ -139,7 +139,7 @@ def compare_trials(
         raise BatchError.of(failed or [Failure.of("trials", "there are none; name folders or files of drives")])
     return ScoredTrials(
         trials=tuple(scores),
-        soils=(soils.kind, given_soil.name or str(given_soil.named)),
+        soils=(given_soil.origin, given_soil.name or str(given_soil.named)),
         failed=tuple(failed),
         inputs=inputs,
         tables=tables,
