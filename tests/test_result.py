@@ -367,6 +367,7 @@ def test_the_help_of_a_function_names_every_option(name: str) -> None:
     for item in fields(kind):
         assert re.search(rf"\b{item.name}\b", meaning), f"{kind.__name__} does not say what {item.name} means"
         assert f"{item.name}=" in defaults
+    assert not re.search(r"repeat(ed|able)\b|the command\b", meaning, re.IGNORECASE), "as only the command line has it"
 
 
 def test_columns_of_shares_have_a_unit_and_a_meaning() -> None:
