@@ -120,6 +120,8 @@ def as_meant(name: str, value: Any, hint: Any) -> Any:
     """
     if type(value).__module__ == "numpy" and getattr(value, "shape", None) == ():
         value = value.item()
+    if name == "wavelengths" and getattr(value, "ndim", 0) == 1:
+        value = {"wavelength": value}
     if getattr(value, "ndim", 0) == 1 and hasattr(value, "tolist"):
         value = tuple(value.tolist())
     if name in STATED and isinstance(value, Mapping):

@@ -220,14 +220,20 @@ def test_a_file_that_was_read_is_read_again() -> None:
     assert read_input(file).data == read_input(file).data == b"a\n1\n"
 
 
-@pytest.mark.parametrize("form", ["DataArray", "Dataset", "arrays"])
+@pytest.mark.parametrize("form", ["DataArray", "Dataset", "band", "arrays"])
 def test_a_cube_in_memory_has_maps_and_spectra_with_their_places(form: str) -> None:
     axes = {"wavelength": WAVELENGTH, "y": [10, 20, 30], "x": [0, 1, 2, 3]}
     array = xr.DataArray(CUBE, dims=("y", "x", "wavelength"), coords=axes, name="reflectance")
-    cube = {"DataArray": array, "Dataset": array.to_dataset(), "arrays": (WAVELENGTH, CUBE)}[form]
+    named = {"DataArray": array, "Dataset": array.to_dataset(), "band": array.rename(wavelength="band")}
+    cube = (WAVELENGTH, CUBE) if form == "arrays" else named[form]
     maps = lunarsci.map_cube(cube, products="bands")
     assert maps.to_xarray()["bc1000_nm"].to_numpy() == pytest.approx(np.full((3, 4), 950.0), abs=2.0)
+    bare = lunarsci.map_cube(
+        array.drop_vars("wavelength").rename(wavelength="band"), wavelengths=WAVELENGTH, products="bands"
+    )
+    assert (bare.to_xarray()["bc1000_nm"].to_numpy() == maps.to_xarray()["bc1000_nm"].to_numpy()).all()
     assert maps == lunarsci.map_cube(cube, products="bands") and "/lunarsci-" not in str(maps)
+    assert maps.plot("centre of the 1000") and maps.plot("Centre")
     names = lunarsci.bands(cube).to_pandas()["id"].tolist()
     assert names[:2] == (["line 0 sample 0", "line 0 sample 1"] if form == "arrays" else ["y 10 x 0", "y 10 x 1"])
     assert len(names) == 12
