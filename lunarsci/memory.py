@@ -240,6 +240,9 @@ def _csv(table: Any) -> bytes:
     import pandas as pd
 
     frame = table if hasattr(table, "to_csv") else pd.DataFrame(table)
+    if str(next(iter(getattr(frame, "columns", ())), "")).startswith("#"):  # pandas took a comment for the header
+        cells = frame.to_csv(header=False, index=not isinstance(frame.index, pd.RangeIndex))
+        return f"{','.join(map(str, frame.columns))}\n{cells}".encode()
     named = any(name is not None for name in getattr(frame.index, "names", ()))
     content: str = (frame.reset_index() if named else frame).to_csv(index=False)
     return content.encode()

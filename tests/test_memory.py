@@ -204,6 +204,12 @@ def test_any_table_is_read() -> None:
         read_input({"a": [1], "b": [1, 2]})
 
 
+@pytest.mark.parametrize("first", ["# made up by a program, not a measurement", "# made up"])
+def test_a_comment_that_pandas_took_for_the_header_is_one(first: str) -> None:
+    text = f"{first}\ntime_s,x_m,wheel\n0.10,1.5,FL\n0.2,2,FR\n"
+    assert read_input(pd.read_csv(io.StringIO(text))).data.decode() == text
+
+
 def test_a_dict_is_toml_or_json() -> None:
     table = {"name": 'µ "q"', "on": True, "n": np.float64(0.5), "t": {"a b": [1, [2]]}, "none": None}
     assert tomllib.loads(toml_text(table)) == {"name": 'µ "q"', "on": True, "n": 0.5, "t": {"a b": [1, [2]]}}

@@ -125,10 +125,11 @@ class DriveInputs:
         drives = start if not belief.history else f"{len(belief.history)} drive(s)"
         unread = len(belief.history) - self.given.learned
         less = f", {unread} of which taught nothing" if unread else ""
-        drawn_from = (
-            f"soil: {members} drawn from the belief {self.given.name}, which rests on {drives}{less}; it takes the "
-            "place of the terrain's soil"
-        )
+        rests = f"the belief {self.given.name}, which rests on {drives}{less}; it takes the place of the terrain's soil"
+        if self.given.origin == "priors":
+            of = "" if self.given.name == PRIORS else f" of {self.given.name}"
+            rests = f"the priors{of}, before any drive; they take the place of the terrain's soil"
+        drawn_from = f"soil: {members} drawn from {rests}"
         return [drawn_from, *([f"caution: {self.caution_of_belief}"] if self.caution_of_belief else [])]
 
     @property
