@@ -290,7 +290,7 @@ def _of_dict(value: Mapping[Any, Any]) -> tuple[bytes, str]:
     if 2 in dimensions:
         return _archive(named), ".npz"
     columns = [one for one in named.values() if not isinstance(one, str | Mapping) and hasattr(one, "__len__")]
-    if columns and len(columns) == len(named) and not any(map(_is_records, columns)):
+    if any(map(len, columns)) and len(columns) == len(named) and not any(map(_is_records, columns)):
         lengths = {len(one) for one in columns}
         if len(lengths) > 1:
             raise DataError(f"<dict>: its columns are {sorted(lengths)} long; give all the same number of rows")

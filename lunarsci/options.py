@@ -128,7 +128,7 @@ def as_meant(name: str, value: Any, hint: Any) -> Any:
         value = ",".join(f"{key}={_joined(':', one)}" for key, one in value.items())
     if "str" in str(hint):
         value = on_disk(name, value)
-    texts = {str, tuple[float, ...]} <= {*get_args(hint)}
+    texts = {str, tuple[float, ...]} <= {*get_args(hint)} or {str, float} <= {*get_args(hint)}
     if texts and isinstance(value, tuple | list) and all(isinstance(one, int | float) for one in value):
         return _joined(",", value)
     if get_origin(hint) is tuple:

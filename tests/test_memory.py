@@ -217,6 +217,7 @@ def test_a_dict_is_toml_or_json() -> None:
         b'{"type": "FeatureCollection", "features": []}',
         ".json",
     )
+    assert content_of({"leg": []}) == (b"leg = []\n", ".toml")
     line = {"type": "LineString", "coordinates": [[0, 1], [2, 3]]}
     assert content_of(line) == (json.dumps(line).encode(), ".json")
 
@@ -300,6 +301,8 @@ def test_options_of_a_match_are_numbers_as_python_has_them() -> None:
     assert sites[0] == sites[1]
     with pytest.raises(lunarsci.errors.LunarSciError, match=r"`request` is of str, .* several inputs in a list"):
         lunarsci.match(found, "rock")
+    bands = lunarsci.bands((WAVELENGTH, ROCK))
+    assert lunarsci.match(json.loads(bands.to_json())).rows() == lunarsci.match(bands).rows()
     with pytest.raises(ParameterError, match=r"Matches is no grid; to_pandas\(\) has its table$"):
         found.to_xarray()
 

@@ -352,6 +352,10 @@ def test_a_large_picture_is_made_smaller() -> None:
 
 def test_a_table_goes_to_pandas_and_what_is_no_grid_is_refused() -> None:
     found = lunarsci.wheel_forces(load=36.5, slip="0:0.5:6")
+    for slips in ([0.0, 0.1, 0.2, 0.3, 0.4, 0.5], np.linspace(0, 0.5, 6), "0,0.1,0.2,0.3,0.4,0.5"):
+        assert lunarsci.wheel_forces(load=36.5, slip=slips).rows()[:3] == found.rows()[:3]
+    with pytest.raises(RequestError, match="several that grow"):
+        lunarsci.wheel_forces(load=36.5, slip=[0.2, 0.1])
     frame = found.to_pandas()
     assert frame["slip_ratio"].tolist() == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4, 0.5])
     assert frame["drawbar_pull_n"].tolist() == [row["drawbar_pull_n"] for row in found.rows()]
