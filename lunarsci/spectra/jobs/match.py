@@ -261,7 +261,7 @@ def _rocks(sources: Sequence[Any], asked: MatchRequest) -> MatchInputs:
     """
     stated = asked.modes is not None or asked.bands is not None
     if stated == bool(sources):
-        raise RequestError("give results of `spectra unmix` or `spectra fit`, or `modes` or `bands` of one rock, not both")
+        raise RequestError("give results of `spectra unmix` or `fit`, or `modes` or `bands` of one rock, not both")
     if asked.kind and asked.modes is None:
         raise RequestError("`kind` is of `modes` of a rock without a file; results of `spectra unmix` have their own")
     if stated:
