@@ -213,6 +213,7 @@ def info(path: str | Path) -> FileInfo:
             stored = read_json(file, "a result", dict) if described[0] == "result" else None
     kind, sha256, contents, trouble = described
     remarks = [str(one.message) for one in heard if issubclass(one.category, LunarSciWarning)]
+    remarks = [text for text in remarks if not text.endswith(f"read as: {contents.get('read as')}")]
     further = TAKEN_BY.get(str(contents.get("command", "")).removeprefix("lunarsci "), ()) if kind == "result" else ()
     return FileInfo(
         file=name, sha256=sha256, kind=kind, contents=contents, trouble=trouble, remarks=remarks, further=further,
