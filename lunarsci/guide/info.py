@@ -8,7 +8,7 @@ import re
 import tomllib
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar, TypeAlias
@@ -34,7 +34,7 @@ from lunarsci.io.inputs import (
     text,
 )
 from lunarsci.io.tables import as_csv, read_csv_table, separator_of
-from lunarsci.memory import toml_text
+from lunarsci.memory import as_named, named_within, on_disk, toml_text
 from lunarsci.names import some_of
 from lunarsci.registry import FORMATS, KINDS, TAKEN_BY, WHEEL
 from lunarsci.regolith.columns import QUANTITIES, of_name
@@ -200,6 +200,14 @@ def info(path: str | Path) -> FileInfo:
     if not folder.exists() and (kind := next((one for one, names in named_here().items() if name in names), "")):
         file = InputFile(name, named_here()[kind][name].encode())
         return FileInfo(file=name, sha256=file.sha256, kind=kind, contents=CONTENTS[kind](file))
+    if name == "-":
+        piped = read_input(name)
+        found = info(file := on_disk("stdin", piped.data))
+        *remarks, trouble = (
+            as_named(one).replace(Path(file).name, piped.name) for one in (*found.remarks, found.trouble)
+        )
+        contents = named_within(found.contents)
+        return replace(found, file=piped.name, contents=contents, remarks=remarks, trouble=trouble)
     if folder.is_dir():
         if not (folder / "result.json").is_file():
             return _folder(name)

@@ -281,7 +281,8 @@ def named_columns(file: str, table: "pd.DataFrame", names: Sequence[str], units:
         values = (1.0 if what.sigma else answer.sign) * numbers_of(file, name, table[name])
         done = done.rename(columns={name: what.target})
         done[what.target] = _cells(_converted(what, size * values))
-        how = HOW.get(what.unit, f", from {SYMBOLS.get(what.unit, what.unit)}") + (", its sign turned" if answer.sign < 0 else "")
+        how = HOW.get(what.unit, f", from {SYMBOLS.get(what.unit, what.unit)}")
+        how += ", its sign turned" if answer.sign < 0 else ""
         how += f", {answer.shift:+g}" if answer.shift else ""
         by_name = written.unit and answer == ColumnAnswer()
         notes.append(f"column '{name}' as {what.target}{how}{'' if by_name else f' ({OPTION})'}")

@@ -43,6 +43,19 @@ def written(folder: Path, name: str, text: str | bytes) -> Path:
 
 
 @pytest.mark.parametrize("kind", TEMPLATES)
+def test_a_template_is_known_on_standard_input(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = written(tmp_path, template(kind).name, template(kind).text)
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(file.read_bytes())))
+    piped, named = info("-"), info(file)
+    assert (piped.file, piped.kind, piped.trouble) == ("<stdin>", named.kind, "") and piped.contents == named.contents
+
+
+def test_what_is_wrong_on_standard_input_is_named_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(b"[wheel]\nradius_m = -1\nwidth_m = 0.1\n")))
+    assert info("-").trouble.startswith("<stdin>: [wheel]: wheel radius_m is -1")
+
+
+@pytest.mark.parametrize("kind", TEMPLATES)
 def test_a_template_is_what_its_reader_takes(kind: str, tmp_path: Path) -> None:
     made = template(kind)
     found = info(written(tmp_path, made.name, made.text))
