@@ -202,12 +202,12 @@ def info(path: str | Path) -> FileInfo:
         return FileInfo(file=name, sha256=file.sha256, kind=kind, contents=CONTENTS[kind](file))
     if name == "-":
         piped = read_input(name)
-        found = info(file := on_disk("stdin", piped.data))
+        of_file = info(file := on_disk("stdin", piped.data))
         *remarks, trouble = (
-            as_named(one).replace(Path(file).name, piped.name) for one in (*found.remarks, found.trouble)
+            as_named(one).replace(Path(file).name, piped.name) for one in (*of_file.remarks, of_file.trouble)
         )
-        contents = named_within(found.contents)
-        return replace(found, file=piped.name, contents=contents, remarks=remarks, trouble=trouble)
+        contents = named_within(of_file.contents)
+        return replace(of_file, file=piped.name, contents=contents, remarks=remarks, trouble=trouble)
     if folder.is_dir():
         if not (folder / "result.json").is_file():
             return _folder(name)
