@@ -15,10 +15,13 @@ from .spectra.options import UNITS
 if TYPE_CHECKING:
     from lunarsci.guide.info import FileInfo
 
-File = Annotated[str, typer.Argument(metavar="FILE", help="Any file, or the folder of a result; - is stdin.")]
+File = Annotated[
+    str, typer.Argument(metavar="FILE", help="Any file, the folder of a result, or a name of lunarsci; - is stdin.")
+]
 EXAMPLES = (
     "lunarsci info belief.json",
     "lunarsci info lunarsci-demo/rock.ecsv",
+    "lunarsci info longji",
 )
 
 
@@ -28,6 +31,10 @@ def info(file: File, output: Output) -> Report:
 
     Known are spectra, image cubes, pictures, terrains, plans, missions, rovers, soils, beliefs, telemetry, wheel
     states, catalogues and results. Exit code 3: the commands would refuse this file; the reason is printed.
+
+    Names of lunarsci are those of rovers (husky, rosey, small-four, yutu2), wheels (cmu-smooth, cmu-grouser,
+    hit-smooth, hit-grouser, kls1-smooth, kls1-grouser, rashid-1, ishigami, lrv) and soils (longji, lunar-typical,
+    and priors, what is believed before any drive).
 
     --field result.KEY… or provenance.KEY… prints a value of a stored result. Exit code 3: there is no value, or it is
     not to be used. In a batch of fits only the spectrum of that value counts.

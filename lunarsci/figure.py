@@ -95,12 +95,21 @@ def as_label(text: str, longest: int = 40) -> str:
     return printable(short).replace("$", r"\$")
 
 
-def is_named(figure: "Figure", name: str) -> bool:
-    """Whether a text of a picture begins with a name, as that of a spectrum above its panel, or with its label."""
+def named_picture(figures: Iterable["Figure"], name: str) -> "Figure | None":
+    """The first with a text that begins with a name, as that of a spectrum above its panel, or with its label.
+
+    Without such one the first with a text that has the name in it, as that of a mineral; None where there is none.
+    """
     from matplotlib.text import Text
 
-    wanted = (name, as_label(name), as_label(name, 28).rstrip("…"))
-    return any(one.get_text().startswith(wanted) for one in figure.findobj(Text))
+    wanted, within = (name, as_label(name), as_label(name, 28).rstrip("…")), None
+    for figure in figures:
+        texts = [one.get_text() for one in figure.findobj(Text)]
+        if any(text.startswith(wanted) for text in texts):
+            return figure
+        if within is None and any(name.casefold() in text.casefold() for text in texts):
+            within = figure
+    return within
 
 
 def file_label(name: str, longest: int = 40) -> str:

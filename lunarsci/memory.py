@@ -240,6 +240,9 @@ def _csv(table: Any) -> bytes:
     import pandas as pd
 
     frame = table if hasattr(table, "to_csv") else pd.DataFrame(table)
+    if str(next(iter(getattr(frame, "columns", ())), "")).startswith("#"):  # pandas took a comment for the header
+        cells = frame.to_csv(header=False, index=not isinstance(frame.index, pd.RangeIndex))
+        return f"{','.join(map(str, frame.columns))}\n{cells}".encode()
     named = any(name is not None for name in getattr(frame.index, "names", ()))
     content: str = (frame.reset_index() if named else frame).to_csv(index=False)
     return content.encode()
@@ -281,17 +284,17 @@ def _archive(arrays: Mapping[str, Any]) -> bytes:
 
 def _of_dict(value: Mapping[Any, Any]) -> tuple[bytes, str]:
     named = {str(key): one for key, one in value.items()}
+    if not {"schema", "features", "geometry", "coordinates"}.isdisjoint(named):
+        return json.dumps(named, default=_listed).encode(), ".json"
     dimensions = [_dimensions(one) for one in named.values() if not isinstance(one, str)]
     if 2 in dimensions:
         return _archive(named), ".npz"
     columns = [one for one in named.values() if not isinstance(one, str | Mapping) and hasattr(one, "__len__")]
-    if columns and len(columns) == len(named) and not any(map(_is_records, columns)):
+    if any(map(len, columns)) and len(columns) == len(named) and not any(map(_is_records, columns)):
         lengths = {len(one) for one in columns}
         if len(lengths) > 1:
             raise DataError(f"<dict>: its columns are {sorted(lengths)} long; give all the same number of rows")
         return _csv(named), ".csv"
-    if not {"schema", "features", "geometry", "coordinates"}.isdisjoint(named):
-        return json.dumps(named, default=_listed).encode(), ".json"
     return toml_text(named).encode(), ".toml"
 
 

@@ -53,6 +53,8 @@ STATED = ("modes", "bands")
 """Options that are values and errors by name, and in Python a dict as well."""
 _VALUE = r"(?=[^ ,;:)]*[\d=A-Z])[^ ,;:)]+(?:,[a-z_]+=[^ ,;:)]+)*|auto|priors"
 _FLAG = re.compile(rf"(?<![\w-])--([a-z][a-z0-9-]*)(?:[ =]({_VALUE}))?")
+_REPEATED = re.compile(r"May be\s+repeated|Repeatable|repeatable")
+_IN_A_LIST = {"repeatable": "several in a list", "Repeatable": "Several in a list", "May": "Several are a list"}
 _WRITTEN = re.compile(r"(?<![\w-])-o [A-Z][A-Z.a-z]*")
 
 
@@ -118,13 +120,15 @@ def as_meant(name: str, value: Any, hint: Any) -> Any:
     """
     if type(value).__module__ == "numpy" and getattr(value, "shape", None) == ():
         value = value.item()
+    if name == "wavelengths" and getattr(value, "ndim", 0) == 1:
+        value = {"wavelength": value}
     if getattr(value, "ndim", 0) == 1 and hasattr(value, "tolist"):
         value = tuple(value.tolist())
     if name in STATED and isinstance(value, Mapping):
         value = ",".join(f"{key}={_joined(':', one)}" for key, one in value.items())
     if "str" in str(hint):
         value = on_disk(name, value)
-    texts = {str, tuple[float, ...]} <= {*get_args(hint)}
+    texts = {str, tuple[float, ...]} <= {*get_args(hint)} or {str, float} <= {*get_args(hint)}
     if texts and isinstance(value, tuple | list) and all(isinstance(one, int | float) for one in value):
         return _joined(",", value)
     if get_origin(hint) is tuple:
@@ -161,7 +165,8 @@ def options_text(kind: type) -> str:
     choices = [f"{name}: {', '.join(map(repr, values))}" for name, values in named.items() if values]
     closing = [f"By default {', '.join(defaults)}.", *([f"Choices of {'; '.join(choices)}."] if choices else [])]
     lines = (fill(line, 112, break_on_hyphens=False, break_long_words=False) for line in closing)
-    return in_python("\n".join(["Other Parameters", "----------------", *sections, "", *lines]))
+    text = "\n".join(["Other Parameters", "----------------", *sections, "", *lines])
+    return in_python(_REPEATED.sub(lambda one: _IN_A_LIST[one[0].split()[0]], text))
 
 
 def request_of(kind: type[Request], request: Request | None, options: Mapping[str, Any]) -> Request:

@@ -146,7 +146,9 @@ KINDS: Mapping[str, KindOfFile] = {
     "plan": KindOfFile("plan of a drive", ("twin predict", "twin simulate", "twin forces", "twin states")),
     "mission": KindOfFile("mission of several targets", ("twin plan --mission",)),
     "rover": KindOfFile("rover", ("twin predict --rover", "twin plan --rover", *WHEEL)),
-    "prior": KindOfFile("priors of a soil", ("regolith infer --prior-file",)),
+    "prior": KindOfFile(
+        "priors of a soil", ("regolith infer --prior-file", "twin predict --soil", "twin update --soil")
+    ),
     "soil": KindOfFile("soil", ("twin predict --soil", "regolith forces --soil")),
     "pose": KindOfFile("pose of a camera", ("images dem --pose", "images locate")),
     "camera": KindOfFile("camera", ("images cameras",)),
@@ -175,5 +177,6 @@ TAKEN_BY = {
     "regolith identify": ("regolith compare",),
     "regolith infer": ("twin predict --soil", "regolith compare"),
     "twin predict": ("twin compare",),
+    "twin update": ("twin predict --soil", "twin update --soil", "twin history"),
 }
 """Commands that take the result of another, by that one's name."""

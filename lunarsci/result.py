@@ -20,7 +20,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, ClassVar, ParamSpec, TypeAlias, TypeVar, get_args
 
 from lunarsci.errors import Failure, LunarSciWarning, ParameterError, worded
-from lunarsci.figure import is_named, shown, styled
+from lunarsci.figure import named_picture, shown, styled
 from lunarsci.memory import as_named, is_cube, named_within, path_of, results_on_disk
 from lunarsci.minerals import WITH_BANDS
 from lunarsci.names import some_of
@@ -257,7 +257,7 @@ class Result(ABC):
 
     @property
     def untrusted(self) -> str:
-        return str(self.doubt)
+        return in_python(str(self.doubt))
 
     @property
     def failures(self) -> Sequence[Failure]:
@@ -367,11 +367,11 @@ class Result(ABC):
         """
         with styled():
             if isinstance(page, str):
-                figure = next((one for one in self.figures() if is_named(one, page)), None)
+                figure = named_picture(self.figures(), page)
             else:
                 figure = next(islice(self.figures(), page, None), None)
         if figure is None:
-            raise ParameterError(f"page {page!r}: there is no such picture of this result")
+            raise ParameterError(f"page {page!r} is none of this result's, {sum(1 for _ in self.figures())} in all")
         return shown(figure)
 
     def _repr_html_(self) -> str:

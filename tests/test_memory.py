@@ -4,6 +4,7 @@ import copy
 import importlib
 import inspect
 import io
+import json
 import os
 import pickle
 import re
@@ -29,7 +30,7 @@ from lunarsci.io.inputs import read_input
 from lunarsci.memory import as_named, content_of, named_within, on_disk, toml_text
 from lunarsci.options import in_python
 from lunarsci.regolith.soil import read_soil
-from lunarsci.result import Result
+from lunarsci.result import Doubt, Result
 from lunarsci.twin.ground.terrain import read_terrain
 
 ROOT = Path(__file__).parents[1]
@@ -150,6 +151,10 @@ class OfRoles(Result):
 
     schema = "of-roles/1"
 
+    @property
+    def doubt(self) -> Doubt:
+        return Doubt.of("/tmp/lunarsci-slla84jr/tmp36n04av1/soil/soil.json is odd; give another by --soil")
+
     def to_dict(self) -> dict[str, Any]:
         return {}
 
@@ -163,6 +168,7 @@ class OfRoles(Result):
 
 def test_a_result_is_the_file_that_an_input_is_read_from() -> None:
     assert as_named(on_disk("terrain", OfRoles())) == "a.csv"
+    assert OfRoles().untrusted == "soil.json is odd; give another by soil"
     folder = Path(on_disk("predicted", OfRoles()))
     assert folder.name == "of-roles" and sorted(one.name for one in folder.iterdir()) == ["a.csv", "b.csv"]
     assert [Path(one).read_text() for one in on_disk("terrain", [OfRoles()] * 2)] == ["a", "a"]
@@ -198,6 +204,12 @@ def test_any_table_is_read() -> None:
         read_input({"a": [1], "b": [1, 2]})
 
 
+@pytest.mark.parametrize("first", ["# made up by a program, not a measurement", "# made up"])
+def test_a_comment_that_pandas_took_for_the_header_is_one(first: str) -> None:
+    text = f"{first}\ntime_s,x_m,wheel\n0.10,1.5,FL\n0.2,2,FR\n"
+    assert read_input(pd.read_csv(io.StringIO(text))).data.decode() == text
+
+
 def test_a_dict_is_toml_or_json() -> None:
     table = {"name": 'µ "q"', "on": True, "n": np.float64(0.5), "t": {"a b": [1, [2]]}, "none": None}
     assert tomllib.loads(toml_text(table)) == {"name": 'µ "q"', "on": True, "n": 0.5, "t": {"a b": [1, [2]]}}
@@ -205,6 +217,9 @@ def test_a_dict_is_toml_or_json() -> None:
         b'{"type": "FeatureCollection", "features": []}',
         ".json",
     )
+    assert content_of({"leg": []}) == (b"leg = []\n", ".toml")
+    line = {"type": "LineString", "coordinates": [[0, 1], [2, 3]]}
+    assert content_of(line) == (json.dumps(line).encode(), ".json")
 
 
 def test_a_file_that_was_read_is_read_again() -> None:
@@ -212,14 +227,20 @@ def test_a_file_that_was_read_is_read_again() -> None:
     assert read_input(file).data == read_input(file).data == b"a\n1\n"
 
 
-@pytest.mark.parametrize("form", ["DataArray", "Dataset", "arrays"])
+@pytest.mark.parametrize("form", ["DataArray", "Dataset", "band", "arrays"])
 def test_a_cube_in_memory_has_maps_and_spectra_with_their_places(form: str) -> None:
     axes = {"wavelength": WAVELENGTH, "y": [10, 20, 30], "x": [0, 1, 2, 3]}
     array = xr.DataArray(CUBE, dims=("y", "x", "wavelength"), coords=axes, name="reflectance")
-    cube = {"DataArray": array, "Dataset": array.to_dataset(), "arrays": (WAVELENGTH, CUBE)}[form]
+    named = {"DataArray": array, "Dataset": array.to_dataset(), "band": array.rename(wavelength="band")}
+    cube = (WAVELENGTH, CUBE) if form == "arrays" else named[form]
     maps = lunarsci.map_cube(cube, products="bands")
     assert maps.to_xarray()["bc1000_nm"].to_numpy() == pytest.approx(np.full((3, 4), 950.0), abs=2.0)
+    bare = lunarsci.map_cube(
+        array.drop_vars("wavelength").rename(wavelength="band"), wavelengths=WAVELENGTH, products="bands"
+    )
+    assert (bare.to_xarray()["bc1000_nm"].to_numpy() == maps.to_xarray()["bc1000_nm"].to_numpy()).all()
     assert maps == lunarsci.map_cube(cube, products="bands") and "/lunarsci-" not in str(maps)
+    assert maps.plot("centre of the 1000") and maps.plot("Centre")
     names = lunarsci.bands(cube).to_pandas()["id"].tolist()
     assert names[:2] == (["line 0 sample 0", "line 0 sample 1"] if form == "arrays" else ["y 10 x 0", "y 10 x 1"])
     assert len(names) == 12
@@ -280,6 +301,8 @@ def test_options_of_a_match_are_numbers_as_python_has_them() -> None:
     assert sites[0] == sites[1]
     with pytest.raises(lunarsci.errors.LunarSciError, match=r"`request` is of str, .* several inputs in a list"):
         lunarsci.match(found, "rock")
+    bands = lunarsci.bands((WAVELENGTH, ROCK))
+    assert [*lunarsci.match(json.loads(bands.to_json())).rows()] == [*lunarsci.match(bands).rows()]
     with pytest.raises(ParameterError, match=r"Matches is no grid; to_pandas\(\) has its table$"):
         found.to_xarray()
 

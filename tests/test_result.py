@@ -352,6 +352,10 @@ def test_a_large_picture_is_made_smaller() -> None:
 
 def test_a_table_goes_to_pandas_and_what_is_no_grid_is_refused() -> None:
     found = lunarsci.wheel_forces(load=36.5, slip="0:0.5:6")
+    for slips in ([0.0, 0.1, 0.2, 0.3, 0.4, 0.5], np.linspace(0, 0.5, 6), "0,0.1,0.2,0.3,0.4,0.5"):
+        assert lunarsci.wheel_forces(load=36.5, slip=slips).rows()[:3] == found.rows()[:3]
+    with pytest.raises(RequestError, match="several that grow"):
+        lunarsci.wheel_forces(load=36.5, slip=[0.2, 0.1])
     frame = found.to_pandas()
     assert frame["slip_ratio"].tolist() == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4, 0.5])
     assert frame["drawbar_pull_n"].tolist() == [row["drawbar_pull_n"] for row in found.rows()]
@@ -367,6 +371,7 @@ def test_the_help_of_a_function_names_every_option(name: str) -> None:
     for item in fields(kind):
         assert re.search(rf"\b{item.name}\b", meaning), f"{kind.__name__} does not say what {item.name} means"
         assert f"{item.name}=" in defaults
+    assert not re.search(r"repeat(ed|able)\b|the command\b", meaning, re.IGNORECASE), "as only the command line has it"
 
 
 def test_columns_of_shares_have_a_unit_and_a_meaning() -> None:

@@ -21,7 +21,7 @@ WHEEL = "State of the wheel"
 OPTIONS = {
     "sinkage": option(panel=WHEEL),
     "load": option(panel=WHEEL),
-    "slip": option(kind=str, metavar="S|A:B:N", panel=WHEEL),
+    "slip": option(kind=str, metavar="S,…|A:B:N", panel=WHEEL),
     "side_slip": option(panel=WHEEL),
     "rover": option(),
     "soil": option(panel=SOIL),

@@ -96,7 +96,7 @@ class Report:
 
     @cached_property
     def untrusted(self) -> str:
-        return self.worded(self.result.untrusted)
+        return self.worded(str(self.result.doubt))
 
     @cached_property
     def failures(self) -> Sequence[Failure]:

@@ -156,7 +156,7 @@ def _tables(compared: ComparedDrive) -> list[TextTable]:
         *(f"because {reason}" for reason in judged.reasons),
         *(f"near the edge: {text}" for text in judged.near),
     ]
-    notes += [f"because {compared.untrusted}"] if compared.verdict == "doubtful" else []
+    notes += [f"because {compared.doubt}"] if compared.verdict == "doubtful" else []
     head = TextTable(
         ["place", "what", "value"],
         [*_end_rows(judged.end), *_miss_rows(miss_of(matched)), *_path_rows(judged.path)],
@@ -290,7 +290,7 @@ def trial_tables(scored: ScoredTrials) -> list[TextTable]:
     notes = [
         "error: root mean square of predicted less measured over the states, or the distance between the ends; wheels: "
         "the same error of a drive without slip",
-        f"predicted on soils of {record['soil']['name']} ({record['soil']['of']})",
+        f"predicted on soils of {record['soil']['name']}",
         *([f"{made} of the trials are synthetic"] if (made := sum(trial.synthetic for trial in scored.trials)) else []),
         *(f"{trial.trial} is doubtful: {trial.doubt}" for trial in scored.trials if trial.doubt),
     ]

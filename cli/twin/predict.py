@@ -146,7 +146,7 @@ def _verdict_tables(predicted: PredictedDrives) -> list[TextTable]:
     headers = [header.format(share=f"{100 * share:g} %", drives=of) for header in HEADERS]
     if prediction.members == 1:
         headers, *rows = ([row[0], *row[3:]] for row in (headers, *rows))
-    return [TextTable(headers if rows else [], rows, title=title, notes=notes)]
+    return [TextTable(headers if rows else [], rows, title=title, notes=[*dict.fromkeys(notes)])]
 
 
 def _one_soil(predicted: PredictedDrives) -> str:

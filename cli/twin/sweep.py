@@ -68,6 +68,7 @@ def result_tables(trade: DesignTrade) -> list[TextTable]:
     notes = [
         "* no other design keeps more drives and needs less work",
         *(f"{name} changed nothing: no drive of this mission depends on it" for name in trade.unused),
+        *(trade.inputs.soil_notes(drives, len(trade.soils[0].drawn)) if drives else []),
         *trade.inputs.remarks,
     ]
     if trade.inputs.terrain.synthetic:

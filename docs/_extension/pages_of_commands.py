@@ -130,7 +130,7 @@ def meanings() -> dict[str, tuple[str, str]]:
 
 
 def keys_and_values(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    if isinstance(value, dict):
+    if isinstance(value, dict) and "schema" not in value:  # a document of its own is a file
         long_list = {"first", "last", "length"} <= set(value)  # how the record keeps long lists
         for key, inner in value.items():
             if not long_list:

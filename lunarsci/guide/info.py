@@ -34,15 +34,16 @@ from lunarsci.io.inputs import (
     text,
 )
 from lunarsci.io.tables import as_csv, read_csv_table, separator_of
+from lunarsci.memory import as_named, named_within, on_disk, toml_text
 from lunarsci.names import some_of
 from lunarsci.registry import FORMATS, KINDS, TAKEN_BY, WHEEL
 from lunarsci.regolith.columns import QUANTITIES, of_name
-from lunarsci.regolith.prior import UNITS, read_prior
-from lunarsci.regolith.soil import read_soil
+from lunarsci.regolith.prior import UNITS, default_prior, read_prior
+from lunarsci.regolith.soil import read_soil, soil_tables
 from lunarsci.regolith.states import read_state_table
 from lunarsci.regolith.wheel import left_to_defaults, read_wheel
 from lunarsci.result import Doubt, MadeFrom, Result
-from lunarsci.rovers import RoverDescription, read_rover, rover_names
+from lunarsci.rovers import RoverDescription, read_rover, rover_names, wheel_names
 from lunarsci.spectra.readers.arrangements import header_channels
 from lunarsci.spectra.readers.columns import is_wavelength
 from lunarsci.spectra.readers.dispatch import read_spectra, recognised
@@ -196,9 +197,17 @@ def info(path: str | Path) -> FileInfo:
     """
     name = str(path)
     folder = Path(path)
-    if not folder.exists() and name in rover_names():
-        rover = InputFile(name, read_rover(name).text.encode())
-        return FileInfo(file=name, sha256=rover.sha256, kind="rover", contents=CONTENTS["rover"](rover))
+    if not folder.exists() and (kind := next((one for one, names in named_here().items() if name in names), "")):
+        file = InputFile(name, named_here()[kind][name].encode())
+        return FileInfo(file=name, sha256=file.sha256, kind=kind, contents=CONTENTS[kind](file))
+    if name == "-":
+        piped = read_input(name)
+        of_file = info(file := on_disk("stdin", piped.data))
+        *remarks, trouble = (
+            as_named(one).replace(Path(file).name, piped.name) for one in (*of_file.remarks, of_file.trouble)
+        )
+        contents = named_within(of_file.contents)
+        return replace(of_file, file=piped.name, contents=contents, remarks=remarks, trouble=trouble)
     if folder.is_dir():
         if not (folder / "result.json").is_file():
             return _folder(name)
@@ -212,11 +221,22 @@ def info(path: str | Path) -> FileInfo:
             stored = read_json(file, "a result", dict) if described[0] == "result" else None
     kind, sha256, contents, trouble = described
     remarks = [str(one.message) for one in heard if issubclass(one.category, LunarSciWarning)]
+    remarks = [text for text in remarks if not text.endswith(f"read as: {contents.get('read as')}")]
     further = TAKEN_BY.get(str(contents.get("command", "")).removeprefix("lunarsci "), ()) if kind == "result" else ()
     return FileInfo(
         file=name, sha256=sha256, kind=kind, contents=contents, trouble=trouble, remarks=remarks, further=further,
         stored=stored,
     )  # fmt: skip
+
+
+def named_here() -> dict[str, Mapping[str, str]]:
+    """What comes with lunarsci and options take by name: kind, and name with its text as a file."""
+    laws = {name: asdict(law) for name, law in default_prior().items()}
+    return {
+        "rover": {name: read_rover(name).text for name in (*rover_names(), *wheel_names())},
+        "soil": {name: toml_text(table) for name, table in soil_tables().items()},
+        "prior": {"priors": toml_text(laws)},
+    }
 
 
 def _folder(name: str) -> FileInfo:
@@ -620,7 +640,9 @@ def _is_numeric(value: Any) -> bool:
 
 def _soil(file: InputFile) -> Mapping[str, Any]:
 
-    return asdict(read_soil(file.name))
+    about = soil_tables().get(file.name, {})
+    assumed = {"assumed": ", ".join(about["assumed"]), "source": about["source"]} if about else {}
+    return asdict(read_soil(file.name)) | assumed
 
 
 def _prior(file: InputFile) -> Mapping[str, Any]:

@@ -30,6 +30,7 @@ from lunarsci.heights.texts import (
     read_nodes,
     read_table,
 )
+from lunarsci.io.inputs import read_input
 from lunarsci.names import one_of
 from lunarsci.printable import shortened
 from lunarsci.ranges import refuse
@@ -255,6 +256,7 @@ def _load(path: Path, keys: set[str], unread: tuple[str, ...]) -> dict[str, Any]
     except (DataError, OSError):
         raise
     except Exception as error:  # whatever NumPy raises of a damaged archive: each part of it has its own
+        read_input(path)  # says of a compressed file that it is one
         what = "not a NumPy archive that can be read; write it with numpy.savez"
         ends = ", ".join(sorted({".npz", ".nc", ".grd", ".asc", *TEXTS, *DRIVERS}))
         raise DataError(what if path.suffix == ".npz" else f"no heights; give a grid of them in {ends}") from error

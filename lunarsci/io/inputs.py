@@ -22,7 +22,7 @@ from typing import IO, TYPE_CHECKING, Any, BinaryIO, TypeAlias, TypeVar
 from lunarsci.errors import DataError, NoFilesError, ParameterError, warn
 from lunarsci.io.documents import json_document
 from lunarsci.memory import FORMS, AsFiles, content_of, is_open
-from lunarsci.names import some_of
+from lunarsci.names import meant, some_of
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -45,6 +45,8 @@ _UNPRINTABLE = re.compile(r"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f-\x9f]")
 _UNPRINTABLE_ASCII = bytes([*range(9), *range(0x0E, 0x1A), *range(0x1B, 0x20), 0x7F])
 _UNPRINTABLE_SHARE = 59 / 256 / 2
 """Share of characters that are no text, beyond which a file is taken for a binary one: half that of random bytes."""
+PACKED = {b"\x1f\x8b": "gzip", b"BZh": "bzip2", b"\xfd7zXZ": "xz", b"\x28\xb5\x2f\xfd": "zstd"}
+"""How compressed files begin, which no command unpacks; archives of zip are formats of their own (.npz, .xlsx)."""
 BEGINNING = 1 << 16
 """Bytes by which the format of a file is told."""
 _ENDING = 200
@@ -102,7 +104,7 @@ def read_input(source: Source) -> InputFile:
 
     Quantities of a table are taken in the unit that their column's name ends in.
 
-    Raises DataError when there is nothing to read, ParameterError for what is none of these.
+    Raises DataError when there is nothing to read and for a compressed file, ParameterError for what is none of these.
     """
     if isinstance(source, InputFile):
         return source
@@ -114,6 +116,16 @@ def read_input(source: Source) -> InputFile:
     data, ending = content
     kind = type(source).__name__ if isinstance(source, bytes) or ending != ".csv" else "table"
     return _filled(str(getattr(source, "name", "<file>")) if is_open(source) else f"<{kind}>", data)
+
+
+def named_input(path: str, what: str, names: Iterable[str]) -> bytes:
+    """The content of a file that stands for one of some names, which are of `what`. Raises DataError."""
+    try:
+        return read_input(path).data
+    except DataError as error:
+        if not isinstance(error.__cause__, FileNotFoundError):
+            raise
+        raise DataError(f"{path}: {meant(path, names)}neither {what} nor a file that is there") from error
 
 
 class InputStream:
@@ -129,13 +141,16 @@ class InputStream:
 
     def pieces(self, size: int = 1 << 22) -> Iterator[bytes]:
         """So many bytes at a time. Raises DataError for a file that cannot be read on, and for an empty one."""
-        with _named_errors(self.name):
-            while piece := self.file.read(size):
-                self._empty = False
-                self._digest.update(piece)
-                yield piece
-        if self._empty:
-            _filled(self.name, b"")
+        while True:
+            with _named_errors(self.name):
+                piece = self.file.read(size)
+            if self._empty:
+                _filled(self.name, piece)
+            if not piece:
+                return
+            self._empty = False
+            self._digest.update(piece)
+            yield piece
 
 
 @contextlib.contextmanager
@@ -179,6 +194,8 @@ def _read_path(path: str) -> InputFile:
 def _filled(name: str, data: bytes) -> InputFile:
     if not data:
         raise DataError(f"{name}: is empty; check how it was made or downloaded")
+    if packed := next((kind for magic, kind in PACKED.items() if data.startswith(magic)), ""):
+        raise DataError(f"{name}: is compressed ({packed}); unpack it first")
     return InputFile(name, data)
 
 

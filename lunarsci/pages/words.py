@@ -198,7 +198,9 @@ def each(
     """A sentence for each; of more than a few how many have which `short` answer, or the sentences of the first."""
     if len(items) > MOST and short is not None:
         counts = Counter(short(item) for item in items)
-        kinds = [f"{count} of them: {text}." for text, count in counts.most_common(MOST)]
+        kinds = [
+            f"{count} of them: {text}{'' if text.endswith('?') else '.'}" for text, count in counts.most_common(MOST)
+        ]
         others = counts.total() - sum(count for _, count in counts.most_common(MOST))
         more = [f"{others} of them: other answers."] if others else []
         return " ".join([f"{counted(len(items), thing)}.", *kinds, *more])

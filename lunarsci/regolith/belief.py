@@ -33,6 +33,8 @@ SCHEMA = f"lunarsci/{FORM}"
 """Of the file of a belief; other versions are refused."""
 OF_STATES = "lunarsci/regolith-identify/"
 """How the schema of results of wheel states begins."""
+OF_DRIVE = "lunarsci/twin-update/"
+"""How that of results of a drive begins, which hold the belief after it."""
 ASYMMETRY = 1e-9
 """By which correlations may differ from those across the diagonal: rounding. [-]"""
 FARTHEST_WIDTHS = 6.0
@@ -337,9 +339,10 @@ class SoilBelief:
         """The file of an input of that name, as a result has it."""
         return {"belief.json": lambda: self.to_json().encode()}
 
-    def to_json(self) -> str:
-        """As `read_belief` reads it."""
-        document = {
+    def to_dict(self) -> dict[str, Any]:
+        """As `belief_of` reads it."""
+        verdict = {} if self.verdict is None else {"verdict": self.verdict.to_dict()}
+        return verdict | {
             "schema": SCHEMA,
             "order": list(self.names),
             "laws": {name: asdict(law) for name, law in self.laws.items()},
@@ -350,9 +353,10 @@ class SoilBelief:
             "meets_ruts": None if self.meets_ruts is None else self.meets_ruts.tolist(),
             "discrepancy": self.discrepancy.to_dict(),
         }
-        if self.verdict is not None:
-            document["verdict"] = self.verdict.to_dict()
-        return json.dumps(document, indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
+
+    def to_json(self) -> str:
+        """As `read_belief` reads it."""
+        return json.dumps(self.to_dict(), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def first_belief(laws: Mapping[str, Law] | None = None) -> SoilBelief:
@@ -387,13 +391,17 @@ def _belief_of_result(document: Mapping[str, Any]) -> SoilBelief:
 
 
 def belief_of(document: Mapping[str, Any]) -> SoilBelief:
-    """The belief of a parsed document, also of a result of `regolith infer`. Raises ParameterError for what is none."""
+    """The belief of a parsed document, also of a result of `regolith infer` or `twin update`.
+
+    Raises ParameterError for what is none.
+    """
     schema = str(document.get("schema", "")) if isinstance(document, Mapping) else ""
     if schema.startswith(OF_STATES):
         with named("", ParameterError):
             return _belief_of_result(document)
-    after = "the record of `twin update`, which leaves out how parameters hang together; give the belief.json of --save"
-    refuse({after: schema.startswith("lunarsci/twin-update/")})
+    if schema.startswith(OF_DRIVE):
+        result = document.get("result")
+        return belief_of(result.get("belief", {}) if isinstance(result, Mapping) else {})
     refuse({f"not a soil belief; its schema must be {SCHEMA}, as --save of `twin update` writes it": schema != SCHEMA})
     with named("", ParameterError):
         laws = {name: Law(**document["laws"][name]) for name in document["order"]}

@@ -281,7 +281,8 @@ def named_columns(file: str, table: "pd.DataFrame", names: Sequence[str], units:
         values = (1.0 if what.sigma else answer.sign) * numbers_of(file, name, table[name])
         done = done.rename(columns={name: what.target})
         done[what.target] = _cells(_converted(what, size * values))
-        how = HOW.get(what.unit, f", from {what.unit}") + (", its sign turned" if answer.sign < 0 else "")
+        how = HOW.get(what.unit, f", from {SYMBOLS.get(what.unit, what.unit)}")
+        how += ", its sign turned" if answer.sign < 0 else ""
         how += f", {answer.shift:+g}" if answer.shift else ""
         by_name = written.unit and answer == ColumnAnswer()
         notes.append(f"column '{name}' as {what.target}{how}{'' if by_name else f' ({OPTION})'}")
@@ -317,6 +318,10 @@ def _converted(what: ColumnMeaning, values: FloatArray) -> FloatArray:
     return by_travel(values) if what.unit == TRAVEL else by_rim(values)
 
 
+SYMBOLS = {"n": "N", "kn": "kN", "mn": "mN"}
+"""Units as users write them, where names of columns in lower case have them otherwise."""
+
+
 def unit_of_size(column: str, size: float) -> str:
     """The unit that a column may be in with a size in that of its name, as users write it; '' where none has it.
 
@@ -325,7 +330,7 @@ def unit_of_size(column: str, size: float) -> str:
     """
     units = next(one.units for one in QUANTITIES if one.column == column)
     name = next((name for name, one in units.items() if math.isclose(one, size, rel_tol=1e-6)), "")
-    return {"n": "N", "kn": "kN", "mn": "mN"}.get(name, name)
+    return SYMBOLS.get(name, name)
 
 
 def by_travel(slip: FloatArray) -> FloatArray:

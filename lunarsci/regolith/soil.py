@@ -7,10 +7,11 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from lunarsci.errors import DataError, named, warn
+from lunarsci.errors import named, warn
 from lunarsci.io.documents import toml_of
+from lunarsci.io.inputs import named_input
 from lunarsci.io.tables import table_hashes
-from lunarsci.names import checked_name, meant, one_of
+from lunarsci.names import checked_name, one_of
 from lunarsci.provenance import sha256
 from lunarsci.ranges import ACUTE_DEG, FINITE, NOT_NEGATIVE, POSITIVE, check_each, refuse
 from lunarsci.regolith.prior import Question, default_prior, question
@@ -106,14 +107,7 @@ def read_soil(soil: str) -> Soil:
     tables = soil_tables()
     if soil in tables:
         return _soil(tables[soil], soil)
-    try:
-        content = Path(soil).read_text("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        near = meant(soil, tables)
-        raise DataError(
-            f"{soil}: {near}neither a soil of lunarsci ({', '.join(tables)}) nor a readable TOML file"
-        ) from error
-    read = _soil(toml_of(soil, content), soil)
+    read = _soil(toml_of(soil, named_input(soil, f"a soil of lunarsci ({', '.join(tables)})", tables)), soil)
     warn_of_unusual(read, soil)
     return read
 

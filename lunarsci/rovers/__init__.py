@@ -10,12 +10,11 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib.resources import files
-from pathlib import Path
 from typing import Any, Literal
 
 from lunarsci.errors import DataError
 from lunarsci.io.documents import toml_of
-from lunarsci.names import meant
+from lunarsci.io.inputs import named_input
 from lunarsci.ranges import refuse
 
 WHEELS = "wheels.toml"
@@ -74,21 +73,14 @@ def read_rover(rover: str) -> RoverDescription:
     The name of a wheel gives a description that has a wheel and nothing else.
     """
     if rover in rover_names():
-        return _parse(_file(f"{rover}.toml"), origin=rover)
+        text = _file(f"{rover}.toml")
+        return _described(toml_of(rover, text), rover, text)
     if rover in wheel_names():
         text = _file(WHEELS)
         return _described({"wheel": tomllib.loads(text)[rover]}, rover, text)
-    try:
-        text = Path(rover).read_text("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        near = meant(rover, (*rover_names(), *wheel_names()))
-        names = f"{', '.join(rover_names())}; wheels: {', '.join(wheel_names())}"
-        raise DataError(f"{rover}: {near}neither a rover of lunarsci ({names}) nor a readable TOML file") from error
-    return _parse(text, origin=rover)
-
-
-def _parse(text: str, origin: str) -> RoverDescription:
-    return _described(toml_of(origin, text), origin, text)
+    names = f"a rover of lunarsci ({', '.join(rover_names())}; wheels: {', '.join(wheel_names())})"
+    data = named_input(rover, names, (*rover_names(), *wheel_names()))
+    return _described(toml_of(rover, data), rover, data.decode("utf-8"))
 
 
 def _described(document: dict[str, Any], origin: str, text: str) -> RoverDescription:

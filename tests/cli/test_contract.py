@@ -23,7 +23,7 @@ from typer import BadParameter
 
 from lunarsci.errors import Failure
 from lunarsci.parallel.blocks import SavedBlocks
-from lunarsci.result import Result
+from lunarsci.result import Doubt, Result
 
 NUMBERS = re.compile(r"(?<![\w\"])-?\d[\d.e+-]*")
 COMMANDS = {
@@ -487,8 +487,8 @@ class Listed(Result):
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Doubtful(Listed):
     @property
-    def untrusted(self) -> str:
-        return "give `rover`"
+    def doubt(self) -> Doubt:
+        return Doubt.of("give `rover`")
 
     @property
     def failures(self) -> list[Failure]:
@@ -738,6 +738,6 @@ def test_a_failed_input_decides_the_code_and_a_doubt_is_recorded_all_the_same() 
     """As docs/reference/json.md says."""
     text = (Path(__file__).parents[2] / "docs/reference/json.md").read_text("utf-8")
     assert "`untrusted` (empty where the exit code is 0) and `failures` (where there are any, the exit code is" in text
-    result: Any = SimpleNamespace(untrusted="far off", failures=[Failure.of("a.csv", "is not there")])
+    result: Any = SimpleNamespace(doubt="far off", failures=[Failure.of("a.csv", "is not there")])
     report = Report(result, [])
     assert (report.exit_code, report.untrusted) == (1, "far off")

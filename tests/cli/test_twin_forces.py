@@ -78,6 +78,7 @@ def test_a_posterior_passes_from_forces_to_the_next_prediction(run, plan: Path, 
     done = run("twin", "predict", plan, "--soil", soils, "--members", "20", "--json")
     result = json.loads(done.out)
     assert done.code == 3 and "inferred by the law" in result["result"]["doubt"]
+    assert run("twin", "predict", plan, "--soil", soils, "--members", "20").out.count("inferred by the law") == 1
     assert result["result"]["members"] == 20 and str(soils) in {file["path"] for file in result["provenance"]["inputs"]}
     assert run("twin", "predict", plan, "--soil", soils, "--sweep", "cohesion_pa=1:2:2").code == 2
     assert run("regolith", "identify", states, "--posterior", tmp_path / "x.csv").code == 2

@@ -75,6 +75,9 @@ def test_where_nobody_says_the_soil_is_the_common_one_and_named(run, short_plan:
     assert (found["soil"]["of"], found["soil"]["name"]) == ("default", "longji")
     assert provenance["options"]["soil"] == "longji" and provenance["options"]["rover"] == "yutu2"
     assert found["soil"]["drawn"] == ["cohesion_pa"] and "cohesion_pa" not in found["soil"]["parameters"]
+    for option in (("--soil", "priors"), ()):
+        found, _ = driven(run("twin", "predict", short_plan, "--members", "2", *option, "--json"))
+        assert (found["soil"]["of"], found["soil"]["name"]) == ("priors", "priors")
     assert "soils.toml" in tables(provenance)
 
 

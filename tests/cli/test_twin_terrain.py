@@ -70,7 +70,7 @@ def test_a_soil_that_nobody_named_is_drawn_from_the_priors(run, tmp_path: Path) 
     plan.write_text('name = "short"\n[drive]\nspeed_m_s = 0.05\n[[leg]]\nlength_m = 0.3\n')
     nodes = ((0.25 * x, 0.25 * y) for x in range(-8, 13) for y in range(-8, 9))
     ground.write_text("x_m,y_m,height_m\n" + "".join(f"{x},{y},0\n" for x, y in nodes))
-    said = "soil: 64 drawn from priors (before any drive)"
+    said = "soil: 64 drawn from the priors (before any drive)"
     for more, is_drawn in (((), True), (("--soil", "longji"), False)):
         shown = run("twin", "predict", plan, "--terrain", ground, "--exact-terrain", *more)
         assert (said in " ".join(shown.out.split())) == is_drawn and shown.code == 0, shown

@@ -37,7 +37,7 @@ def test_two_layouts_are_scored_by_one_command(run, trials: Path, tmp_path: Path
     document = json.loads(done.out)
     assert document["schema"] == "lunarsci/twin-trials/1"
     result = document["result"]
-    assert result["soil"] == {"of": "belief", "name": "priors"}
+    assert result["soil"] == {"of": "priors", "name": "priors"}
     rows = {Path(row["trial"]).parent.name: row for row in result["trials"]}
     assert len(rows) == 3 and all(row["members"] == 24 and row["synthetic"] for row in rows.values())
     assert {row["gravity_m_s2"] for row in rows.values()} == {9.80665}

@@ -320,7 +320,7 @@ def test_a_first_drive_is_predicted_on_the_priors(run, short_plan: Path, tmp_pat
     assert run("template", "prior", "-o", prior).code == 0
     predict = ("twin", "predict", short_plan, "--rover", "small-four", "--members", "4", "--soil")
     named, of_file = (run(*predict, soil) for soil in ("priors", prior))
-    assert named.code in (0, 3) and "soil: 4 drawn from priors (before any drive)" in " ".join(named.out.split())
+    assert named.code in (0, 3) and "soil: 4 drawn from the priors (before any drive)" in " ".join(named.out.split())
     shown = [done.out[: done.out.index("soil: 4 drawn")] for done in (named, of_file)]
     assert shown[0] == shown[1]
     where = ("--start", "0,0,0", "--target", "3,0", "-o", tmp_path / "way")

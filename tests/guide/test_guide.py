@@ -1,6 +1,7 @@
 """What files are, files to begin with, what to cite, and whether lunarsci works here."""
 
 import ast
+import inspect
 import io
 import json
 import os
@@ -15,13 +16,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from lunarsci.cli.info import info as command_info
 
 import lunarsci
 from lunarsci.errors import DataError, ParameterError, RequestError
 from lunarsci.guide import doctor
 from lunarsci.guide.cite import REFERENCE, SEVERAL, CitedSources, cite, reference_of, reference_to, works
 from lunarsci.guide.cite import _cited as cite_of
-from lunarsci.guide.info import CONTENTS, CSV_COLUMNS, MAGIC_BYTES, SUFFIXES, TOML_KEYS, info
+from lunarsci.guide.info import CONTENTS, CSV_COLUMNS, MAGIC_BYTES, SUFFIXES, TOML_KEYS, info, named_here
 from lunarsci.guide.template import KINDS as TEMPLATES
 from lunarsci.guide.template import described, template
 from lunarsci.io.inputs import InputFile
@@ -38,6 +40,19 @@ def written(folder: Path, name: str, text: str | bytes) -> Path:
     path = folder / name
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return path
+
+
+@pytest.mark.parametrize("kind", TEMPLATES)
+def test_a_template_is_known_on_standard_input(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = written(tmp_path, template(kind).name, template(kind).text)
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(file.read_bytes())))
+    piped, named = info("-"), info(file)
+    assert (piped.file, piped.kind, piped.trouble) == ("<stdin>", named.kind, "") and piped.contents == named.contents
+
+
+def test_what_is_wrong_on_standard_input_is_named_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(b"[wheel]\nradius_m = -1\nwidth_m = 0.1\n")))
+    assert info("-").trouble.startswith("<stdin>: [wheel]: wheel radius_m is -1")
 
 
 @pytest.mark.parametrize("kind", TEMPLATES)
@@ -470,5 +485,11 @@ def test_a_wheel_alone_is_taken_by_what_is_listed_and_what_it_lacks_is_counted(t
     assert str(found.contents["assumed numbers"]).startswith("4: ") and usual in found.contents.values()
     assert found.commands[0] == "lunarsci regolith infer --rover"
     assert all(one.startswith("lunarsci regolith ") for one in found.commands)
+    words = inspect.getdoc(command_info) or ""
+    assert [name for names in named_here().values() for name in names if name not in words] == []
+    assert info("rashid-1").commands == found.commands and info("priors").contents["cohesion_pa"].startswith("600 Pa")
+    assert {"cohesion_pa": 520.0, "assumed": "external_friction_angle_deg, lateral_modulus_mm"}.items() <= dict(
+        info("lunar-typical").contents
+    ).items()
     own = info("yutu2")
     assert usual not in own.contents.values() and "lunarsci twin predict --rover" in own.commands

@@ -1,15 +1,22 @@
 """Inputs: what is read, how it is decoded, and the one line said when it cannot be."""
 
+import gzip
 import hashlib
 import io
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+import lunarsci
 from lunarsci.errors import DataError, LunarSciWarning
+from lunarsci.guide.info import info
+from lunarsci.heights.grids import read_grid
 from lunarsci.io.inputs import InputFile, expand_inputs, read_input, text
+from lunarsci.regolith.soil import read_soil
+from lunarsci.rovers import read_rover
 
 
 def one_line(error: pytest.ExceptionInfo[DataError]) -> str:
@@ -48,6 +55,21 @@ def test_a_missing_file_a_folder_and_an_empty_file_are_errors(tmp_path: Path) ->
         with pytest.raises(DataError, match=reason) as error:
             read_input(str(tmp_path) + "/" + name)
         assert ";" in one_line(error)
+
+
+@pytest.mark.parametrize("name", ["rock.csv", "states.csv", "telemetry.csv", "plan.toml", "soil.toml", "rover.toml",
+                                  "site.asc", "site.npz", "result.json"])  # fmt: skip
+def test_a_compressed_file_is_named_so_by_all_that_read_it(tmp_path: Path, name: str) -> None:
+    path = tmp_path / f"{name}.gz"
+    path.write_bytes(gzip.compress(b"any"))
+    readers: dict[str, Callable[[str], object]] = {
+        "rock": lunarsci.bands, "states": lambda file: lunarsci.infer(file, rover="yutu2"),
+        "telemetry": lunarsci.states, "plan": lunarsci.predict, "soil": read_soil, "rover": read_rover,
+        "site": read_grid, "result": lunarsci.cite,
+    }  # fmt: skip
+    for read in (info, readers[name.partition(".")[0]]):
+        with pytest.raises(DataError, match=r"\.gz: is compressed \(gzip\); unpack it first$"):
+            read(str(path))
 
 
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="access rights do not bind this user")

@@ -208,7 +208,7 @@ def test_a_zero_that_is_off_is_found_by_the_forces_and_the_option_mends_it(off: 
 
 def test_other_tables_say_how_they_were_read() -> None:
     file = InputFile("test.csv", written(normal_force_n=("load_kN", 1e-3)).to_csv(index=False).encode())
-    with pytest.warns(LunarSciWarning, match="read as: column 'load_kN' as normal_force_n, from kn"):
+    with pytest.warns(LunarSciWarning, match="read as: column 'load_kN' as normal_force_n, from kN"):
         assert read_state_table(file, WHEEL).values[:, 3] == pytest.approx(TRUE["normal_force_n"])
 
 
@@ -243,7 +243,7 @@ def test_info_tells_a_wheel_test_by_other_names(tmp_path: Path) -> None:
     other = written(normal_force_n=("load_kN", 1e-3), drawbar_pull_n=("dp_kN", 1e-3), sinkage_m=("sinkage_mm", 1e3))
     other.to_csv(tmp_path / "test.csv", index=False)
     told = info(tmp_path / "test.csv")
-    assert (told.kind, told.trouble) == ("states", "")
-    assert "column 'load_kN' as normal_force_n, from kn" in told.contents["read as"]
+    assert (told.kind, told.trouble, told.remarks) == ("states", "", [])
+    assert "column 'load_kN' as normal_force_n, from kN" in told.contents["read as"]
     TRUE.assign(sinkage_m=1e3 * TRUE["sinkage_m"]).to_csv(tmp_path / "mm.csv", index=False)
     assert "it is in metres" in info(tmp_path / "mm.csv").trouble

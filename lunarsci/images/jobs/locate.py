@@ -173,7 +173,7 @@ class LocatedStations(Result):
         from lunarsci.images.figures import ties_figure
 
         if not self.localised.pairs:
-            raise ParameterError(f"there are no ties to draw: {self.untrusted}; leave --plot out")
+            raise ParameterError(f"there are no ties to draw: {self.doubt}; leave --plot out")
         for number in range(len(self.localised.pairs)):
             yield ties_figure(self.localised, number, synthetic=self.synthetic)
 

@@ -4,6 +4,7 @@ The command line reads it at every start: it imports no module that computes.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 from lunarsci.constants import LUNAR_GRAVITY, gravity_of
@@ -22,7 +23,8 @@ class WheelForcesRequest:
     ----------
     sinkage : Sinkage in m, above 0, below the wheel radius.
     load : Wheel load in N; the sinkage under it is solved for.
-    slip : Slip ratio, -1 (locked) to 1 (no travel); negative is skid; or a curve, FIRST:LAST:N.
+    slip : Slip ratio, -1 (locked) to 1 (no travel); negative is skid; or a curve, FIRST:LAST:N or
+        several with commas.
     side_slip : Side slip angle in deg, within ±90.
     rover : Rover or wheel: a name (yutu2, cmu-grouser, hit-smooth, rashid-1, lrv …) or a TOML file.
     soil : Soil: a name or a TOML file.
@@ -88,23 +90,27 @@ class WheelForcesRequest:
         refuse(faults, kind=RequestError)
         with within_option("gravity"):
             object.__setattr__(self, "gravity", gravity_of(self.gravity))
-        if isinstance(self.slip, str) and ":" not in self.slip:
+        if isinstance(self.slip, str) and not {*":,"} & {*self.slip}:
             object.__setattr__(self, "slip", self.slips()[0])
 
     def slips(self) -> list[float]:
         """Slips that were asked for, in order. Raises RequestError."""
+        text = str(self.slip)
         try:
-            first, *rest = map(float, str(self.slip).split(":"))
-            last, count = rest or (first, 1)
-            if rest and not (first < last and 2 <= count <= MOST_SLIPS and count == int(count)):
+            if ":" in text:
+                first, last, count = map(float, text.split(":"))
+                if not (2 <= count <= MOST_SLIPS and count == int(count)):
+                    raise ValueError
+                shares = [k / (int(count) - 1) for k in range(int(count))]
+                slips = [first * (1.0 - share) + last * share for share in shares]
+            else:
+                slips = [*map(float, text.split(","))]
+            if len(slips) > MOST_SLIPS or any(not one < two for one, two in pairwise(slips)):
                 raise ValueError
         except ValueError as error:
-            ways = f"a number, or FIRST:LAST:N with FIRST below LAST and N from 2 to {MOST_SLIPS}"
-            raise RequestError(f"`slip` is '{self.slip}'; give {ways}") from error
-        if not rest:
-            return [first]
-        shares = [k / max(int(count) - 1, 1) for k in range(int(count))]
-        return [first * (1.0 - share) + last * share for share in shares]
+            ways = f"a number, several that grow, with commas, or FIRST:LAST:N with N from 2 to {MOST_SLIPS}"
+            raise RequestError(f"`slip` is '{text}'; give {ways}") from error
+        return slips
 
     @property
     def law(self) -> SlipSinkageLaw | None:

@@ -45,6 +45,7 @@ from lunarsci.spectra.cubes.cube import (
     sha256_of,
 )
 from lunarsci.spectra.photometry import correction_factor
+from lunarsci.spectra.readers.columns import CHANNELS, is_spectral_axis
 from lunarsci.spectra.readers.envi import SUFFIX, EnviHeader, data_names, header_names, partner
 from lunarsci.spectra.readers.pds import (
     CALIBRATE,
@@ -546,7 +547,8 @@ def open_netcdf(path: str) -> Layout:
                 "file with one cube"
             )
         variable = data[(with_waves or cubes)[0]]
-        axis = next((str(name) for name in variable.dims if name in waves), str(variable.dims[0]))
+        called = [name for name in map(str, variable.dims) if _WAVELENGTH.match(name) or CHANNELS.match(name)]
+        axis = next((str(name) for name in variable.dims if name in waves), [*called, str(variable.dims[0])][0])
         lines, samples = (str(name) for name in variable.dims if name != axis)
         wave, stored = data[waves[axis]] if axis in waves else None, variable.encoding.get("dtype", variable.dtype)
         scaled = "scale_factor" in variable.encoding or "add_offset" in variable.encoding
@@ -568,6 +570,7 @@ def open_netcdf(path: str) -> Layout:
 def _wave_axis(variable: Any, name: str) -> str | None:
     """The dimension that wavelengths belong to."""
     named = _WAVELENGTH.match(name) or variable.attrs.get("standard_name") in _STANDARD
+    named = named or (variable.dims == (name,) and is_spectral_axis(name, variable.values))
     return str(variable.dims[0]) if named and variable.ndim == 1 and variable.dtype.kind in "iuf" else None
 
 

@@ -190,7 +190,16 @@ def bands(
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> MeasuredBands:
-    """Measure the bands of spectra. Raises DataError when none can be read, or none has a result.
+    """Measure the bands of spectra: centres in nm, depths and areas, with errors.
+
+    Parameters
+    ----------
+    spectra : files, patterns, tables, `Spectrum`s or (wavelength_nm (n,), reflectance (n,) or (spectra, n)[, sigma]),
+        one or a list; reflectance and its standard deviation sigma are fractions of 1.
+    request, options : options as below, and a `BandsRequest` whose own they replace.
+    progress : called with (done, total) spectra.
+
+    Raises RequestError for impossible options; DataError when no spectrum can be read, or none has a result.
 
     Examples
     --------

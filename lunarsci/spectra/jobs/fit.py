@@ -200,7 +200,8 @@ def fit(
 
     Parameters
     ----------
-    spectra : files, patterns, tables, `Spectrum`s or (wavelength_nm, reflectance[, sigma]), one or a list.
+    spectra : files, patterns, tables, `Spectrum`s or (wavelength_nm (n,), reflectance (n,) or (spectra, n)[, sigma]),
+        one or a list; reflectance and its standard deviation sigma are fractions of 1.
     request, options : options as below, and a `FitRequest` whose own they replace.
     progress : called with (done, total) of each step.
 

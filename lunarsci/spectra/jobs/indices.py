@@ -93,6 +93,12 @@ def _about(index: Any) -> dict[str, Any]:
 def indices(spectra: "SpectraSource", request: IndicesRequest | None = None, **options: Any) -> MeasuredIndices:
     """Spectral indices of the Moon: integrated band depths, slopes, olivine, spinel, maturity, FeO and TiO2.
 
+    Parameters
+    ----------
+    spectra : files, patterns, tables, `Spectrum`s or (wavelength_nm (n,), reflectance (n,) or (spectra, n)[, sigma]),
+        one or a list; reflectance and its standard deviation sigma are fractions of 1.
+    request, options : options as below, and an `IndicesRequest` whose own they replace.
+
     Raises DataError when no spectrum can be read, or no index reaches any of them; RequestError for an unknown name.
 
     Examples

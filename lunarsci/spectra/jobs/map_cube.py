@@ -219,7 +219,8 @@ def map_cube(
     """
     asked, target = request_of(MapRequest, request, options), new_path("map.nc") if path is None else Path(path)
     if target.suffix.lower() not in SUFFIXES:
-        raise RequestError(f"`path` '{target.name}': a map is a file; give a name that ends in {', '.join(SUFFIXES)}")
+        named = f" '{target.name}'" if target.name else ""
+        raise RequestError(f"`path`{named}: a map is a file; give a name that ends in {', '.join(SUFFIXES)}")
     names = expand_inputs([str(cube)])
     refuse_where({f"`cube` {cube} is {len(names)} files; give one": len(names) > 1})
     image = open_cube(names[0], stated_of(asked))

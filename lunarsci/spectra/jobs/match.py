@@ -261,7 +261,7 @@ def _rocks(sources: Sequence[Any], asked: MatchRequest) -> MatchInputs:
     """
     stated = asked.modes is not None or asked.bands is not None
     if stated == bool(sources):
-        raise RequestError("give results of `spectra fit --json`, or `modes` or `bands` for one rock, not both")
+        raise RequestError("give results of `spectra unmix` or `fit`, or `modes` or `bands` of one rock, not both")
     if asked.kind and asked.modes is None:
         raise RequestError("`kind` is of `modes` of a rock without a file; results of `spectra unmix` have their own")
     if stated:
@@ -288,7 +288,7 @@ def _read(sources: Sequence[Any]) -> MatchInputs:
 
 
 def _opened(item: Any) -> Iterator[InputFile]:
-    if isinstance(item, Mapping):
+    if isinstance(item, Mapping) and "schema" not in item:
         raise DataError("is a dict; give the result itself, as in `lunarsci.match(shares)`, or the file of its JSON")
     if isinstance(item, Result):
         yield InputFile(f"<{type(item).__name__}>", item.to_json(time=False).encode())

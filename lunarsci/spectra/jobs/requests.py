@@ -138,8 +138,8 @@ class ModelRequest:
     composition : What is known of Fo, Fs, Wo in mol %, such as fo=70:5; shifts expected band centres.
     start : Bands, continuum and their uncertainties from a start or result file of the RELAB MGM program, instead of
         `assemblage` and `continuum`; all channels are fitted.
-    band_minerals : Minerals of the bands of `start`, by their number, for the ratios of strengths; a comment
-        behind the values of a band names one, too.
+    band_minerals : Minerals of the bands of `start`, by their number, such as 2=OPX,3=CPX, for the ratios of strengths;
+        a comment behind the values of a band names one, too.
     prior : map: priors count as measurements; damping: they only slow the iteration, as in the RELAB MGM program.
     model_error : Error of ln R for what the model cannot explain, added to the noise; above 0, below 1. By default
         0.003 and 4 % of the depth of the deepest absorption, in quadrature. What auto compares has an error of its own.
@@ -147,8 +147,8 @@ class ModelRequest:
         search.
     fix : Hold a parameter, such as opx_1_center_nm=915; also …_fwhm_nm, …_strength, and c0, c1, … of the continuum,
         whose variable runs from -1 to 1 over 400-2600 nm. May be repeated.
-    bound : Keep a parameter within a range. May be repeated.
-    tie : Make a parameter follow another. May be repeated.
+    bound : Keep a parameter within a range, such as cpx_2_center_nm=2150:2350. May be repeated.
+    tie : Make a parameter follow another, such as cpx_1_fwhm_nm=1.0*opx_1_fwhm_nm+10. May be repeated.
     wavelength_unit : Unit of the wavelengths.
     reflectance_unit : Unit of the reflectance.
     id : Take only these spectra of the files, by name or pattern (JB*), in this order. May be repeated.
@@ -388,7 +388,7 @@ class MapRequest:
     contest_every : Every Nth line and sample is fitted from all starting points, the others from their neighbours.
     kind : Kind of target of unmix; auto: found in each pixel.
     both : Of unmix: mix end members too in every pixel, and write shares by both methods beside those that networks
-        learned (share_olivine_both and so on), as `spectra unmix `assemblage`` gives them. Name the minerals: where
+        learned (share_olivine_both and so on), as `assemblage` of `spectra unmix` gives them. Name the minerals: where
         nothing is known of them networks alone are better. Slow: some 20 pixels a second and core.
     craters : Table of craters of match, as `craters` of `spectra match`.
     single_precision : Write values with 24 bits instead of 53: half the size.

@@ -176,7 +176,8 @@ def unmix(
 
     Parameters
     ----------
-    spectra : files, patterns, tables, `Spectrum`s or (wavelength_nm, reflectance[, sigma]), one or a list.
+    spectra : files, patterns, tables, `Spectrum`s or (wavelength_nm (n,), reflectance (n,) or (spectra, n)[, sigma]),
+        one or a list; reflectance and its standard deviation sigma are fractions of 1.
     request, options : what is asked, and options of `UnmixRequest` that replace its own.
     progress : called with (done, total) of each step.
 

@@ -19,7 +19,7 @@ from lunarsci.names import meant, some_of
 from lunarsci.provenance import sha256
 from lunarsci.spectra.collection import SpectrumCollection, SpectrumRows, averaged
 from lunarsci.spectra.readers.arrangements import header_channels
-from lunarsci.spectra.readers.columns import is_plain, is_wavelength
+from lunarsci.spectra.readers.columns import is_plain, is_spectral_axis, is_wavelength
 from lunarsci.spectra.readers.dispatch import read_spectra, spectra_of
 from lunarsci.spectra.readers.envi import without_headers
 from lunarsci.spectra.readers.libraries import without_wavelength_files
@@ -176,7 +176,9 @@ def _as_arrays(item: Any) -> Any:
         return (item.spectral_axis, item.flux) if error is None else (item.spectral_axis, item.flux, _sd(error))
     if not (hasattr(item, "coords") and hasattr(item, "dims") and hasattr(item, "transpose")):
         return item
-    axis = next((name for name in item.dims if name in item.coords and is_wavelength(str(name))), None)
+    named = [name for name in item.dims if name in item.coords]
+    axis = next((name for name in named if is_wavelength(str(name))), None)
+    axis = axis or next((name for name in named if is_spectral_axis(str(name), item.coords[name].values)), None)
     if hasattr(item, "data_vars"):
         several = [one for one in item.data_vars.values() if axis in one.dims and one.ndim > 1]
         return _as_arrays(several[0]) if axis is not None and len(several) == 1 else item

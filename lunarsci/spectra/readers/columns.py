@@ -222,6 +222,20 @@ class Roles:
         return SpectrumTable(source, format, wavelength, spectra, places, metadata, systematic, block)
 
 
+CHANNELS = re.compile(r"^(bands?|channels?|spectral)$", re.IGNORECASE)
+"""Names of an axis of channels."""
+
+
+def is_spectral_axis(name: str, values: Any) -> bool:
+    """Whether the coordinate of an axis of channels has their wavelengths, and does not count them from 0 or 1. (n,)
+
+    >>> is_spectral_axis("band", np.array([1, 2, 3])), is_spectral_axis("band", np.array([450.0, 455.0]))
+    (False, True)
+    """
+    counts = values.dtype.kind in "iuf" and values[0] in (0, 1) and (np.diff(values) == 1).all()
+    return bool(CHANNELS.match(name)) and values.dtype.kind in "iuf" and not counts
+
+
 def is_wavelength(name: str) -> bool:
     """Whether a name says wavelength: 'wavelength_nm', 'Channel wavelength', 'wl [µm]', 'nm'."""
     tokens = name_tokens(_ANGSTROM.sub(" angstrom", name))

@@ -47,10 +47,9 @@ from lunarsci.spectra.vnis.calibrate import calibrate
 from lunarsci.spectra.vnis.label import product_name
 from lunarsci.spectra.vnis.observation import read_observation
 
-_PACKED = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip", b"BZh": "bzip2", b"\xfd7zXZ": "xz", b"\x28\xb5\x2f\xfd": "zstd"}
-_PACKED = {magic: f"compressed ({kind}); unpack it first" for magic, kind in _PACKED.items()}
 _OTHERS = {b"\x89HDF": "an HDF5 or netCDF-4 file", b"CDF": "a netCDF file", b"%PDF": "a PDF", b"\x89PNG": "a picture"}
 _FOREIGN = {magic: f"{kind}, not a table of spectra; save them as CSV or ECSV" for magic, kind in _OTHERS.items()}
+_FOREIGN |= {b"PK\x03\x04": "compressed (zip); unpack it first"}
 _FITS_SUFFIXES = {".fits", ".fit", ".fts"}
 
 
@@ -130,7 +129,7 @@ def recognised(source: InputFile, start: str) -> str:
 
 def _refuse_others(source: InputFile, start: str) -> None:
     suffix = Path(source.name).suffix.lower()
-    foreign = next((kind for magic, kind in (_PACKED | _FOREIGN).items() if source.data.startswith(magic)), "")
+    foreign = next((kind for magic, kind in _FOREIGN.items() if source.data.startswith(magic)), "")
     if foreign or suffix in _FITS_SUFFIXES:
         raise DataError(f"{source.name}: is {foreign or 'named FITS but does not begin with SIMPLE; fetch it again'}")
     if start.startswith("<"):

@@ -205,6 +205,13 @@ class GivenSoil:
         return "" if self.file is None else self.file.name
 
     @property
+    def origin(self) -> Origin:
+        """Where the soils that it names come from."""
+        if self.file is None or self.of == "none":
+            return "option"
+        return "priors" if self.name == PRIORS or (self.of == "belief" and _has_laws(self.file.data)) else self.of
+
+    @property
     def verdict(self) -> FitVerdict | None:
         """Of the fit that the soils come from, None where they come from none. Raises DataError."""
         if self.belief is not None:

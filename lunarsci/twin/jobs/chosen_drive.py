@@ -539,7 +539,7 @@ def _inputs(site: SurveyedSite, given: GivenSoil, plan: Plan, ground: Terrain) -
         plan=plan,
         inputs={**site.inputs, **hashes},
         tables=dict(site.tables),
-        driven=site.driven if belief is None else DrivenSoil(given.name, "belief"),
+        driven=site.driven if belief is None else DrivenSoil(given.name, given.origin),
         given=given,
         check=site.check,
         ruts=None,

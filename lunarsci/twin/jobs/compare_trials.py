@@ -139,7 +139,7 @@ def compare_trials(
         raise BatchError.of(failed or [Failure.of("trials", "there are none; name folders or files of drives")])
     return ScoredTrials(
         trials=tuple(scores),
-        soils=(soils.kind, given_soil.name or str(given_soil.named)),
+        soils=(given_soil.origin, given_soil.name or str(given_soil.named)),
         failed=tuple(failed),
         inputs=inputs,
         tables=tables,
@@ -182,7 +182,7 @@ def _scored(name: str, measured: MeasuredStates, given: GivenSoil, soils: TrialS
     terrain = _on_soil(inputs.terrain, given.named)
     turns = WheelTurns.of(drive.telemetry, inputs.rover, begin)
     score = score_trial(name, inputs.rover, terrain, motion, turns, record, soils, seed)
-    return replace(score, doubt=measured.untrusted, synthetic=drive.telemetry.synthetic)
+    return replace(score, doubt=str(measured.doubt), synthetic=drive.telemetry.synthetic)
 
 
 def _on_soil(terrain: Terrain, named: str | None) -> Terrain:

@@ -126,7 +126,10 @@ class DriveInputs:
         drives = start if not belief.history else counted(len(belief.history), "drive")
         unread = len(belief.history) - self.given.learned
         less = f", {unread} of which taught nothing" if unread else ""
-        drawn_from = f"soil: {members} drawn from {self.given.name} ({drives}{less}); they replace that of the terrain"
+        source = self.given.name
+        if self.given.origin == "priors":
+            source = "the priors" if source == PRIORS else f"the priors of {source}"
+        drawn_from = f"soil: {members} drawn from {source} ({drives}{less}); they replace that of the terrain"
         return [drawn_from, *([f"caution: {self.caution_of_belief}"] if self.caution_of_belief else [])]
 
     @property
@@ -223,7 +226,7 @@ def read_drive_inputs(
     read, earlier = (_read_plan(one, inputs) for one in (plan, before))
     read = read or read_plan()
     if priors and driven.of == "default" and given.file is None and not read.sweep:
-        soil, given, driven = PRIORS, GivenSoil.read(PRIORS), DrivenSoil(PRIORS, "belief")
+        soil, given, driven = PRIORS, GivenSoil.read(PRIORS), DrivenSoil(PRIORS, "priors")
     of_soil, tables = soil_hashes(given, driven if soil_counts else None)
     inputs = of_soil | inputs
     if terrain != SYNTHETIC and below is None:
@@ -322,7 +325,7 @@ def _read_ground(
         raise RequestError(f"`height_unit` does not apply to {terrain}; leave it out")
     file = read_terrain_file(terrain, soil, unit) if made is None else TerrainFile(made)
     surface, driven = lay_soil_on(file, terrain, soil, name, asked=given.named is not None)
-    return file, surface, driven if given.belief is None else DrivenSoil(given.name, "belief")
+    return file, surface, driven if given.belief is None else DrivenSoil(given.name, given.origin)
 
 
 def soil_hashes(given: GivenSoil, driven: DrivenSoil | None) -> tuple[dict[str, str], dict[str, str]]:
@@ -397,7 +400,7 @@ class Soils:
 
     def _without_unused_soil(self) -> "Soils":
         inputs = self.inputs
-        if inputs.driven.of == "belief" or not set(self.drawn) >= set(SOIL_COLUMNS):
+        if inputs.driven.of in ("belief", "priors") or not set(self.drawn) >= set(SOIL_COLUMNS):
             return self
         if inputs.driven.of == "option":
             raise RequestError(no_use(inputs.driven.name, self._origin))

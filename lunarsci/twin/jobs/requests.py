@@ -89,7 +89,7 @@ class GroundRequest:
         repeatable.
     layer : Raster on any grid (GeoTIFF, .asc, .npz, .csv) of factors on the cost of a metre, or with --class of classes
         of ground; repeatable.
-    classes : What a class of the layers costs: a factor, or forbidden; repeatable.
+    classes : What a class of the layers costs: a factor, or forbidden, such as 3=forbidden; repeatable.
     sun : Direction of the Sun in deg, from x towards y and over the horizon: shadows go to the maps.
     shadow_cost : With `sun`, factor on the cost of a metre in shadow, or forbidden.
     """
@@ -164,12 +164,13 @@ class PlanRequest(GroundRequest):
     risk : Compare drives to the target, and take the best whose probability of breaking a limit or missing the target
         is at most this, such as 0.05.
     prefer : Of the drives that keep the risk, take the one with the least of this.
-    sweep : Uncertain soil parameter, repeatable; those of the embedded plan where no soil is given.
+    sweep : Uncertain soil parameter, such as friction_angle_deg=30:50:3, repeatable; those of the embedded plan where
+        no soil is given.
     members : Soils on which all are driven; the best again on twice as many.
     tolerance : Distance in m of the end from the target that counts as there.
     candidates : Drives to compare, at most.
     fixes : Let drives halt for localisation updates, with these standard errors and the standstill in s that each
-        takes.
+        takes, such as 0.1,2,600.
     exact_terrain : Drive on the likely ground, not on one that is drawn for each drive.
     charge : Charge of the battery at the start, 0 to 1; the battery is a limit then, and `sun` also lights the panels.
     limits : TOML file with the mission's limits, such as a plan; risk is counted against them, and they go into the
@@ -289,13 +290,13 @@ class DriveRequest(RoverOnGround):
     Attributes
     ----------
     soil : Soil, in place of the terrain's: a name or a TOML file; or a file from which each drive has its own: CSV with
-        a row each; or the JSON or draws of `regolith infer`, a belief of `twin update` or its map (JSON), from which 64
+        a row each; or the JSON or draws of `regolith infer`, or the JSON, belief or map of `twin update`, from which 64
         are drawn unless `members` is given; or `priors`, or a file of `template prior`: what is believed before any
         drive. Repeatable: a name beside a CSV that lacks parameters.
-    sweep : Uncertain soil parameter, repeatable; replaces the plan's sweeps.
+    sweep : Uncertain soil parameter, such as friction_angle_deg=30:50:3, repeatable; replaces the plan's sweeps.
     members : Number of drives: samples of the ranges instead of the grid of all values, or draws.
     fixes : Position fixes after each leg: standard errors in position and heading, and the standstill in s that each
-        takes.
+        takes, such as 0.1,2,600.
     seed : Seed of everything random.
     time_step : Longest time step in s.
     sample : Distance between recorded states in m.
@@ -342,7 +343,7 @@ class PredictRequest(PoweredRequest):
         lie wider apart than a wheel is large.
     keep_out : Ground that no part of the rover may enter (GeoJSON), as `images rocks -o FILE.geojson` writes it;
         repeatable.
-    as_written : Take the numbers of soil, rover, terrain and states as they are written. Without it the command asks
+    as_written : Take the numbers of soil, rover, terrain and states as they are written. Without it lunarsci asks
         about a number that would be likely in another unit, and the result is not to be trusted.
     risk : Accepted probability of breaking a limit or not ending, such as 0.05, in place of the plan's. Without either
         95 % of the drives must keep each limit, and all must end. No drive may enter ground to keep out of.
@@ -441,7 +442,7 @@ class LoadsRequest(RoverOnGround):
     balance_error : Error of the balance of forces as a share of the weight; 0.005 if left out.
     iterate : Rounds, at most, of forces and soil in turn: needs `states` with sinkages.
     seed : Seed of everything random; 0 if left out.
-    as_written : Take the numbers of soil, rover, terrain and states as they are written. Without it the command asks
+    as_written : Take the numbers of soil, rover, terrain and states as they are written. Without it lunarsci asks
         about a number that would be likely in another unit, and the result is not to be trusted.
     """
 
@@ -488,7 +489,7 @@ class UpdateRequest(RoverOnGround):
     particles : Number of soils that represent the belief.
     ruts : Whether wheels met the ruts of others; by the probability that the drive gives it, if left out.
     seed : Seed of everything random.
-    as_written : Take the numbers of soil, rover, terrain and states as they are written. Without it the command asks
+    as_written : Take the numbers of soil, rover, terrain and states as they are written. Without it lunarsci asks
         about a number that would be likely in another unit, and the result is not to be trusted.
     """
 
@@ -521,7 +522,7 @@ class CompareRequest:
     belief : Belief (JSON) whose discrepancy of the twin's physics learns from the miss, for --save.
     rover : Rover: a name (yutu2, husky, rosey) or a TOML file.
     seed : Seed of everything random.
-    as_written : Take the numbers of soil, rover, terrain and states as they are written. Without it the command asks
+    as_written : Take the numbers of soil, rover, terrain and states as they are written. Without it lunarsci asks
         about a number that would be likely in another unit, and the result is not to be trusted.
     """
 
@@ -565,8 +566,8 @@ class SweepRequest(PoweredRequest):
 
     Attributes
     ----------
-    vary : Number of the rover file, TABLE.KEY (with .x, .y or .z of a vector), or plan.speed_m_s; repeatable: the grid
-        of all values.
+    vary : Number of the rover file, TABLE.KEY (with .x, .y or .z of a vector), or plan.speed_m_s, such as
+        wheel.radius_m=0.13:0.17:3; repeatable: the grid of all values.
     designs : Number of designs: Latin-hypercube samples of the ranges instead of the grid.
     exact_terrain : Drive on the likely ground. Without it each drive has a ground of its own, drawn from what an
         elevation model of `images dem` or `images merge` says of its errors, or from the Moon's roughness where nodes

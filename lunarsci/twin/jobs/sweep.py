@@ -177,6 +177,7 @@ def _mission(plans: Any, asked: SweepRequest) -> tuple[Soils, ...]:
             fixes=asked.fixes,
             judged=True,
             terrain_errors=not asked.exact_terrain,
+            priors=asked.members is not None and not asked.sweep,
         )
         members = inputs.given.members(asked.members)
         soils.append(Soils.of(inputs, asked.sweep or None, members, asked.seed or 0))

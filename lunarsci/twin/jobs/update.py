@@ -159,6 +159,7 @@ class LearnedSoil(Result):
     def to_dict(self) -> dict[str, Any]:
         learned, soil_map = self.update, self.soil_map
         return {
+            "belief": learned.belief.to_dict(),
             "parameters": parameter_rows(learned.belief),
             "contact": contact_rows(learned.belief) or None,
             "values": learned.values,

@@ -369,6 +369,11 @@ def test_the_script_of_the_documents_runs(tmp_path: Path, monkeypatch: pytest.Mo
     assert not list(tmp_path.glob("*.partial*"))
 
 
+def test_a_map_without_a_name_for_its_file_is_told_so(capfd: Any) -> None:
+    assert main(["spectra", "map", "cube.img"]) == 2
+    assert "--output: a map is a file; give a name that ends in .nc" in capfd.readouterr().err
+
+
 def test_json_says_what_was_mapped_and_the_file_is_named(tmp_path: Path, capfd: Any) -> None:
     path, out = m3(tmp_path), tmp_path / "map.tif"
     assert main(["spectra", "map", str(path), "-o", str(out), "--products", "bands", "--every", "2", "--json"]) == 0

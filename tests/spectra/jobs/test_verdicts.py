@@ -91,7 +91,7 @@ def test_a_table_has_a_row_of_each_spectrum_where_bands_are_left_out() -> None:
     assert "the assemblage was assumed" in str(found)
     last = str(each["id"][-1])
     assert any(text.get_text().startswith(last) for text in found.plot(last).findobj(Text))
-    with pytest.raises(ParameterError, match="page 'nobody': there is no such picture"):
+    with pytest.raises(ParameterError, match="page 'nobody' is none of this result's, 2 in all"):
         found.plot("nobody")
 
 

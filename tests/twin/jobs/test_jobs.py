@@ -1,5 +1,6 @@
 """The loop of a drive in memory: results and arrays go where files go, with the same answers."""
 
+import json
 import math
 from pathlib import Path
 from types import SimpleNamespace
@@ -33,11 +34,10 @@ def test_results_go_where_their_files_go(files: Path) -> None:
     predicted = lunarsci.predict(files / "plan.toml", soil=of_result, members=16)
     assert predicted.prediction.members == 16
     (files / "belief.json").write_bytes(of_result.files()["belief.json"]())
-    for soil in (files / "belief.json", of_result.belief):
-        assert lunarsci.predict(files / "plan.toml", soil=soil, members=16).verdict == predicted.verdict
     (files / "soil.json").write_text(of_result.to_json(), "utf-8")
-    with pytest.raises(DataError, match=r"the record of `twin update`.*give the belief\.json of files\(\)"):
-        lunarsci.predict(files / "plan.toml", soil=files / "soil.json")
+    record = json.loads(of_result.to_json())
+    for soil in (files / "belief.json", of_result.belief, files / "soil.json", record, record["result"]["belief"]):
+        assert lunarsci.predict(files / "plan.toml", soil=soil, members=16).verdict == predicted.verdict
     (files / "pred.json").write_text(predicted.to_json(), "utf-8")
     with pytest.raises(DataError, match=r"pred\.json: no folder; give .* in Python the result of `predict`"):
         lunarsci.compare(files / "pred.json", states)
@@ -46,6 +46,8 @@ def test_results_go_where_their_files_go(files: Path) -> None:
     assert "1 drive" in predicted.inputs.soil_notes(16, 0)[0]
     with pytest.raises(DataError, match=r"has learned from .*states\.csv already"):
         lunarsci.update(states, soil=of_result, particles=32)
+    with pytest.raises(DataError, match=r"has learned from .*states\.csv already"):
+        lunarsci.update(states, soil=record, particles=32)
 
 
 def test_a_terrain_is_arrays_or_a_table_of_nodes(files: Path) -> None:
