@@ -218,19 +218,17 @@ def unmix(
     )
 
 
-def presence(spectra: Sequence[Spectrum]) -> list[dict[str, float | None]]:
+def presence(spectra: Sequence[Spectrum]) -> list[dict[str, float]]:
     """Of each spectrum the probability of more than 5 % of each mineral, as `unmix` without options gives it.
 
-    None for a weathered soil, which has no shares.
+    Empty of what looks weathered: no such spectrum of known shares was there to test it.
     """
     kinds = find_kinds(spectra)
-    mixed = [index for index, kind in enumerate(kinds) if kind.kind != "weathered-soil"]
-    result: list[dict[str, float | None]] = [dict.fromkeys(WEIGHED) for _ in spectra]
+    mixed = [index for index, kind in enumerate(kinds) if not kind.is_weathered]
     shares = _shares([spectra[k] for k in mixed], [kinds[k] for k in mixed], WEIGHED, StatedModes({}, {}), None,
                      UnmixRequest(), None)  # fmt: skip
-    for index, one in zip(mixed, shares, strict=True):
-        result[index] = {item.mineral: item.present for item in one.fractions}
-    return result
+    there = {k: {item.mineral: item.present for item in one.fractions} for k, one in zip(mixed, shares, strict=True)}
+    return [there.get(index, {}) for index in range(len(spectra))]
 
 
 def _chondrites(
