@@ -99,7 +99,7 @@ def _unmixed_in_short(one: Result) -> str:
     if one["kind"]["name"] == "weathered-soil":
         return "a weathered soil, whose minerals are not unmixed"
     if one["abundance"]["in_domain"]:
-        return "in domain, each share likely within 15 %"
+        return "in domain"
     return "out of domain, quote 95 % intervals alone" if _mineral_shares(one) else str(one["abundance"]["status"])
 
 

@@ -249,9 +249,9 @@ class UnmixRequest:
         such as a chondrite; weathered-soil, which is not unmixed; solid-rock, which must be stated, since a rock looks
         like the soil beside it. auto weighs each kind by its probability.
     method : How end members mix: hapke, in the albedo of single scattering; absorbance, in -ln R; both, by evidence.
-    library : End members instead of the embedded ones; see `spectra library`.
-    together : With `assemblage` or `library`: take all spectra as mixtures of the same powders of minerals, which are
-        then found far better than one by one. Of rocks it changes nothing.
+    library : End members instead of the embedded ones; see `spectra library`. Minerals that it lacks count as absent.
+    together : With `assemblage` or `library`: take all spectra as mixtures of the same powders. Several mixtures of a
+        powder fix it far better than one. The shares of solid rocks stay as they are.
     known : Table of id and one column per mineral, in shares of 1, of mixtures whose shares are known; an empty cell is
         solved for, 0 means that the mineral is absent. Implies `together`.
     opaque : There may be an opaque phase beside the end members, such as ilmenite.

@@ -75,6 +75,12 @@ def named_minerals(assemblage: str) -> list[str]:
     return [mineral for key, mineral in short.items() if key in parts]
 
 
+def _minerals_of(end_members: Sequence[EndMember] | None) -> list[str]:
+    """The weighed minerals of a library; all without one, and where it has none."""
+    there = {one.mineral for one in end_members or ()}
+    return [name for name in WEIGHED if name in there] or list(WEIGHED)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class UnmixedSpectra(Result):
     """Shares of minerals of spectra, or the composition of those that space has weathered.
@@ -198,7 +204,10 @@ def unmix(
     kinds = find_kinds(batch.spectra, None if asked.kind == "auto" else asked.kind)
     if asked.together and not asked.mixes:
         warn("`together` needs the minerals by name (`assemblage`): each spectrum is answered by itself")
-    named = named_minerals(asked.assemblage) if asked.assemblage else list(WEIGHED)
+    named = named_minerals(asked.assemblage) if asked.assemblage else _minerals_of(end_members)
+    if library and len(named) < len(WEIGHED) and not asked.assemblage:
+        absent = ", ".join(name for name in WEIGHED if name not in named)
+        warn(f"{library.name} has no {absent}: the shares are of {', '.join(named)} alone")
     shares = [refused(one.id, "unmix", named, REFUSED) for one in batch.spectra]
     mixed = [index for index, kind in enumerate(kinds) if modes_file or kind.kind != "weathered-soil"]
     unmixed = _shares([batch.spectra[k] for k in mixed], [kinds[k] for k in mixed], named, modes, end_members, asked,

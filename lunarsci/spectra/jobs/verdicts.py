@@ -12,7 +12,7 @@ from typing import Any
 from lunarsci.minerals import WEIGHED
 from lunarsci.names import some_of
 from lunarsci.result import from_prior
-from lunarsci.spectra.abundance.shares import OPEN
+from lunarsci.spectra.abundance.shares import OPEN, SOME
 from lunarsci.spectra.band_status import NARROW_TEXT, centre_text
 from lunarsci.spectra.bands import measure_batch
 from lunarsci.spectra.chemistry.plane import OLIVINE_NM, OPX_MOST_NM, one_pyroxene
@@ -239,6 +239,8 @@ def shares_verdict(record: Mapping[str, Any]) -> str:
     likely = _likely(shares)
     parts = [f"{'' if shares['in_domain'] else 'uncertain; quote the 95 % intervals alone: '}{values}"]
     parts += [f"likely there: {', '.join(likely)}"] if likely else []
+    reached = [name for name in WEIGHED if name in shares and name not in likely and shares[name]["high95"] > SOME]
+    parts += [f"not excluded: {', '.join(reached)}"] if reached else []
     ratios = [f"{name.replace('_', ' ')} {_percent(item)}" for name, item in shares["ratios"].items()]
     return "; ".join(parts + ([f"ratios: {', '.join(ratios)}"] if ratios else []))
 
@@ -255,7 +257,7 @@ def shares_counted(records: Sequence[Mapping[str, Any]]) -> list[str]:
     soils = sum(record["kind"]["name"] == "weathered-soil" for record in records)
     inside = sum(record["abundance"]["in_domain"] for record in records)
     there = Counter(name for record in records for name in _likely(record["abundance"]))
-    parts = [f"shares likely within 15 %: {inside} of {total} spectra; of the others quote the 95 % intervals"]
+    parts = [f"in domain: {inside} of {total} spectra; of the others quote the 95 % intervals alone"]
     parts += [f"likely there: {', '.join(f'{name} in {n}' for name, n in there.most_common())}"] if there else []
     return parts + ([f"weathered soils, not unmixed: {soils} of {total} spectra"] if soils else [])
 

@@ -217,11 +217,12 @@ def test_what_of_shares_may_be_quoted_is_said() -> None:
     open_one = record | {"abundance": shares | {"orthopyroxene": share | {"fraction": None}, "status": "nothing known"}}
     assert shares_verdict(open_one) == "no share to be quoted: nothing known"
     absent = record | {"abundance": shares | {"orthopyroxene": share | {"low95": 0.0}, "ratios": {}}}
+    assert "; not excluded: orthopyroxene" in shares_verdict(absent)
     assert "likely there" not in shares_verdict(absent) + str(shares_counted([absent]))
     soil = record | {"kind": {"name": "weathered-soil"}}
     assert shares_verdict(soil).startswith("no shares of minerals")
     assert shares_counted([record, rock, soil]) == [
-        "shares likely within 15 %: 1 of 3 spectra; of the others quote the 95 % intervals",
+        "in domain: 1 of 3 spectra; of the others quote the 95 % intervals alone",
         "likely there: orthopyroxene in 3",
         "weathered soils, not unmixed: 1 of 3 spectra",
     ]
