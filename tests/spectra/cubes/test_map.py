@@ -349,6 +349,19 @@ def test_a_quick_look_has_a_scale_kilometres_and_north(tmp_path: Path) -> None:
     assert any("bc1000_nm" in one.get_title() for one in page.axes)
 
 
+def test_shares_are_drawn_first_on_one_scale_and_hatched_out_of_domain() -> None:
+    made = map_cube((WAVELENGTHS, CUBE), products="bands,unmix", kind="powder-mixture")
+    outside = made.codes["shares_in_domain"]["out_of_domain"]
+    page = made.plot()
+    panels = [one for one in page.axes if one.get_title().startswith("share_")]
+    assert outside and f"hatched: out of domain, {outside} of 30 pixels" in " ".join(page.get_suptitle().split())
+    assert len(panels) == 8 and panels[0] is page.axes[1] and "95 %" in panels[1].get_title()
+    assert {one.get_images()[0].get_clim() for one in panels} == {(0.0, 1.0)}
+    assert {len(one.get_images()) for one in panels} == {2}
+    width = made.layers()["share_olivine_high95"][1] - made.layers()["share_olivine_low95"][1]
+    np.testing.assert_allclose(panels[1].get_images()[0].get_array(), width)
+
+
 pytest.importorskip("rasterio")
 pytest.importorskip("h5netcdf")
 DOCS = Path(__file__).parents[3] / "docs/howto/cubes.md"
