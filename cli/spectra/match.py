@@ -33,6 +33,7 @@ OPTIONS = {
     "modes": option(panel=ROCK, metavar="MINERAL=FRACTION:ERROR,…"),
     "bands": option(panel=ROCK, metavar="bc1000=NM:ERROR,…"),
     "kind": option(panel=ROCK),
+    "id": option(panel=ROCK, metavar="NAME"),
     "name": option(panel=ROCK),
     "site": option(panel=ROCK, kind=str | None, metavar="LAT,LON"),
     "use": option(panel=ROCK),

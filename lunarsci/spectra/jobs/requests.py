@@ -299,17 +299,18 @@ class UnmixRequest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MatchRequest:
-    """A rock without a file, the craters, and what the prior is made of.
+    """The rocks, the craters, and what the prior is made of.
 
     Attributes
     ----------
     modes : Modes of a rock without a file, of OL, OPX, CPX, PLG, by abbreviation or name; two or more, compared as
         shares of those given.
     bands : Its band centres, bc1000 and bc2000, in nm.
-    kind : Kind of target of `modes`; errors are raised to those known for this kind. Left out: errors as given.
+    kind : Kind of target. Of spectra it is that of `spectra unmix`, left out: weighed by their look. Of `modes` errors
+        are raised to those measured of this kind, left out: errors as given.
     name : Name of that rock.
     site : Where the rock was found, in degrees, east positive. Left out: Chang'E-4, -45.44,177.56; `craters` need it.
-    use : Which kind of composition is compared, where a crater has it.
+    use : What is compared with a crater: modes, bands (centres), or both. What a crater lacks is not compared.
     systematic : Disagreement of two methods in the share of a mineral, one standard deviation.
     band_systematic : The same for band centres, in nm.
     craters : Candidates as CSV: name, latitude_deg, longitude_deg, diameter_km; also age_low_ma, age_high_ma, olivine,
@@ -331,6 +332,7 @@ class MatchRequest:
     stirring : Factor on the local ground that falling ejecta stir up (Oberbeck).
     gardening : Buried rock that small local craters keep at the surface, as a thickness in m; assumed.
     seed : Seed of the draws for the prior.
+    id : Take only these rocks of the files, by name or pattern (JB*), in this order. May be repeated.
     """
 
     modes: str | None = None
@@ -357,6 +359,7 @@ class MatchRequest:
     stirring: float = 1.0
     gardening: str = "0.001:0.1"
     seed: int = 0
+    id: tuple[str, ...] = ()
 
 
 PRODUCTS = ("bands", "indices", "fit", "unmix", "match")
