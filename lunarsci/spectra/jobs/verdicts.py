@@ -18,7 +18,7 @@ from lunarsci.spectra.bands import measure_batch
 from lunarsci.spectra.chemistry.plane import OLIVINE_NM, OPX_MOST_NM, one_pyroxene
 from lunarsci.spectra.mgm import PERCENT_OF, with_trend
 from lunarsci.spectra.mgm.assemblages import SURE, chances, others_of
-from lunarsci.spectra.mgm.result import UNLIKE_RMS
+from lunarsci.spectra.mgm.result import UNLIKE_RMS, in_doubt
 from lunarsci.spectra.mgm.selection import Choice
 from lunarsci.spectra.spectrum import Spectrum
 
@@ -182,8 +182,7 @@ def fit_doubt(record: Mapping[str, Any]) -> str:
 
 def _strained(record: Mapping[str, Any]) -> list[str]:
     """That the fit is in doubt, where it is."""
-    status = str(record["status"])
-    return [] if status == "converged" else [f"in doubt, {status.partition('; ')[2] or status}"]
+    return list(filter(None, [in_doubt(str(record["status"]))]))
 
 
 def _determined(record: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:

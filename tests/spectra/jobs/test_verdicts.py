@@ -169,6 +169,12 @@ def test_a_strained_fit_is_in_doubt(fitted: dict[str, Any]) -> None:
     assert "in doubt, strained: NBSR at 1 and 2 µm contradict" in said
 
 
+def test_a_picture_says_that_a_fit_is_in_doubt_as_the_text_does() -> None:
+    result = lunarsci.fit(made_up(one=870.0, two=1760.0), assemblage="OPX", starts=2)
+    titles = " ".join(" ".join(axes.get_title() for axes in result.plot().axes).split())
+    assert f"in doubt, {result.records[0]['status'].partition('; ')[2]}" in titles
+
+
 @pytest.mark.parametrize(
     ("first", "second", "said"),
     [(None, None, "no band"), (930.0, None, "none at 2 µm"), (None, 1900.0, "pyroxene and spinel are both open")],
