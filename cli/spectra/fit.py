@@ -218,15 +218,12 @@ def _intervals_table(intervals: Mapping[str, Any]) -> TextTable:
 
 
 def _choice_table(choice: Mapping[str, Any]) -> TextTable:
-    from lunarsci.spectra.mgm.assemblages import SURE
-
     shown = [item for item in choice["candidates"] if item["probability"] >= 0.005]
     rows = [[one["assemblage"], f"{100 * one['probability']:.1f}", f"{one['ln_evidence']:.1f}"] for one in shown]
     together = sum(item["probability"] for item in choice["candidates"] if item["assemblage"] in choice["family"])
     headers = ["assemblage", "recalibrated probability [%]", "ln evidence"]
     notes = [
-        f"not distinguished: {', '.join(choice['family'])}; they are the most probable ones, which together reach "
-        f"{100 * SURE:.0f} % ({100 * together:.1f} %)",
+        f"not distinguished: {', '.join(choice['family'])}, which together have {100 * together:.1f} % of all",
         "a further mineral lowers the probability unless the evidence grows; by how much was learned from laboratory "
         "spectra",
     ]

@@ -49,7 +49,7 @@ def unmix_spectra(files: Files, request: UnmixRequest, output: Output) -> Report
     quote the 95 % intervals.
 
     A weathered soil is not unmixed (exit code 3). A regression gives its normative plagioclase, FeO and TiO2 instead.
-    What may be a weathered soil has both.
+    A target that may be a weathered soil has both.
     """
     from lunarsci.spectra.jobs.unmix import unmix
 

@@ -683,9 +683,9 @@ def _craters_notes(items: Sequence[CraterMatch], settings: MatchSettings) -> lis
     both = [i.crater.name for i in items if i.evidence.minerals and i.evidence.bands]
     lines = []
     if unknown:
-        lines.append(f"composition unknown, any is as likely, ln BF 0 (neither for nor against): {', '.join(unknown)}")
+        lines.append(f"composition unknown, so that ln BF is 0, neither for nor against: {', '.join(unknown)}")
     if inside:
-        lines.append(f"contain the site, so that no ejecta of theirs lie there; left out: {', '.join(inside)}")
+        lines.append(f"contain the site, where they left no ejecta, and are left out: {', '.join(inside)}")
     if both:
         lines.append(
             "modes and bands are counted as independent, which from one spectrum they are not (--use): "
@@ -704,8 +704,8 @@ def _prior_notes(site: Point, settings: MatchSettings, items: Sequence[CraterMat
     ]
     if prior.exposure:
         lines.append(
-            f"half of the 2 m boulders gone in {_shown(prior.rock_life_ma)} Ma (Basilevsky et al. 2013); rock of "
-            f"{prior.rock_size_m:g} m, life with size^{prior.life_exponent:g} (assumed)"
+            f"half of all boulders of 2 m are destroyed in {_shown(prior.rock_life_ma)} Ma (Basilevsky et al. 2013); "
+            f"rock of {prior.rock_size_m:g} m, life with size^{prior.life_exponent:g} (assumed)"
         )
     else:
         lines.append("rocks last for ever (--no-exposure)")
