@@ -299,7 +299,9 @@ def _rendered(figures: "Iterable[Figure]", target: Path, suffix: str) -> bytes:
     if first is None:
         raise ParameterError("there is nothing to draw; leave --plot out")
     content = _one(first, suffix)
-    if left_out := [_headline_of(one, number) for number, one in enumerate(islice(pages, MOST_NAMED), 2)]:
+    title = _headline_of(first, 1)[len("page 1") :]
+    named = [_headline_of(one, number) for number, one in enumerate(islice(pages, MOST_NAMED), 2)]
+    if left_out := [text.removesuffix(title) if title else text for text in named]:
         more = " and more" if next(pages, None) is not None else ""
         every = f"--plot {target.with_suffix('.pdf').name} draws all"
         text = f"{target}: {FIRST_PAGE}; left out: {'; '.join(left_out)}{more}; {every}"

@@ -141,6 +141,7 @@ KINDS: Mapping[str, KindOfFile] = {
     "library": KindOfFile("library of end members", ("spectra library list", "spectra unmix --library", *SPECTRUM)),
     "vnis": KindOfFile("product of Chang'E-4 VNIS", ("spectra calibrate", *SPECTRUM)),
     "cube": KindOfFile("image cube", ("spectra map",)),
+    "map": KindOfFile("maps of an image cube", ("spectra match --mineral-map",)),
     "mgm": KindOfFile("start or result file of the RELAB MGM program", ("spectra fit --start-file",)),
     "craters": KindOfFile("catalogue of craters", ("spectra match --craters", "spectra map --craters")),
     "plan": KindOfFile("plan of a drive", ("twin predict", "twin simulate", "twin forces", "twin states")),

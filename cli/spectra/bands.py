@@ -128,7 +128,7 @@ def _one_chemistry(record: Mapping[str, Any]) -> TextTable:
         for key, item in every
         if not item["reason"]
     ]
-    notes = ["errors: the regression's, on laboratory minerals, and the band's; temperature: --json, caveat"]
+    notes = ["errors are those of the regression on laboratory minerals, and of the band; temperature: --json, caveat"]
     if left := len(every) - len(rows):
         notes.append(f"{left} other regressions do not apply to it; why not: --json")
     return TextTable(["from the bands", "by", "value", "valid only"], rows, notes=notes)

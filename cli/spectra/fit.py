@@ -84,7 +84,7 @@ def fit_tables(fits: MgmFits) -> list[TextTable]:
         return [overview]
     tables = [_bands_table(fits.good[0], overview), overview]
     tables += [_intervals_table(record["intervals"])] if record["intervals"] else []
-    tables += [_choice_table(record["choice"])] if record["choice"] else []
+    tables += [_choice_table(record["choice"]), _minerals_table(record["choice"])] if record["choice"] else []
     tables += [_abundance_table(fits.abundances[0])] if fits.abundances.get(0) else []
     return tables
 
@@ -218,33 +218,28 @@ def _intervals_table(intervals: Mapping[str, Any]) -> TextTable:
 
 
 def _choice_table(choice: Mapping[str, Any]) -> TextTable:
-    from lunarsci.spectra.mgm.assemblages import SURE
-
     shown = [item for item in choice["candidates"] if item["probability"] >= 0.005]
     rows = [[one["assemblage"], f"{100 * one['probability']:.1f}", f"{one['ln_evidence']:.1f}"] for one in shown]
     together = sum(item["probability"] for item in choice["candidates"] if item["assemblage"] in choice["family"])
     headers = ["assemblage", "recalibrated probability [%]", "ln evidence"]
-    sure = ", ".join(f"{mineral} {100 * share:.0f} %" for mineral, share in choice["mineral_probability"].items())
     notes = [
-        f"not distinguished: {', '.join(choice['family'])}; they are the most probable ones, which together reach "
-        f"{100 * SURE:.0f} % ({100 * together:.1f} %)",
-        "the probability is not the evidence alone: each further mineral lowers it, and it is calibrated on laboratory "
+        f"not distinguished: {', '.join(choice['family'])}, which together have {100 * together:.1f} % of all",
+        "a further mineral lowers the probability unless the evidence grows; by how much was learned from laboratory "
         "spectra",
-        f"probability that the spectrum needs a mineral's bands, if the rock has one or two minerals: {sure}",
-        *_present_notes(choice),
     ]
     if left := len(choice["candidates"]) - len(rows):
         notes.append(f"{left} others, each below half a per cent: --json")
     return TextTable(headers, rows, title="assemblages, the most probable first", notes=notes)
 
 
-def _present_notes(choice: Mapping[str, Any]) -> list[str]:
-    """What `spectra unmix` says of the minerals that are there, where it says anything."""
-    if not (shares := {name: share for name, share in (choice["present"] or {}).items() if share is not None}):
-        return []
-    shown = ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares.items())
-    why = "it allows four minerals at once, and can see one whose bands others hide"
-    return [f"probability of more than 5 % of a mineral, by `spectra unmix`: {shown}; {why}"]
+def _minerals_table(choice: Mapping[str, Any]) -> TextTable:
+    """What the fit needs beside what `spectra unmix` sees, by mineral."""
+    there = {name: "-" if share is None else f"{100 * share:.0f}" for name, share in choice["present"].items()}
+    rows = [[name, f"{100 * need:.0f}", there[name]] for name, need in choice["mineral_probability"].items()]
+    headers = ["mineral", "the fit needs it [%]", "more than 5 % of it, by `unmix` [%]"]
+    notes = ["what a fit needs was learned from powders of one or two minerals; `unmix` allows four"]
+    notes += ["the spectrum looks weathered, and `unmix` was not tested on such ones"] if "-" in there.values() else []
+    return TextTable(headers, rows, title="probabilities of minerals", notes=notes)
 
 
 def _abundance_table(abundances: Sequence[Abundance]) -> TextTable:

@@ -139,7 +139,8 @@ def _row(record: Mapping[str, Any]) -> list[str]:
 def _findings(checked: CheckedLibrary) -> TextTable:
     rows = [[row["id"], "mend" if row["must_mend"] else "know", row["finding"]] for row in checked.rows()]
     total, rest = len(checked.findings), sum(not finding for finding in checked.findings)
+    minerals = ", ".join(f"{count} of {name or '?'}" for name, count in checked.library.minerals.items())
     if not rows:
-        return TextTable(["library"], [[f"all {total} end members are fit for use"]])
-    notes = [f"{rest} of {total} without a finding"] if rest else []
+        return TextTable(["library"], [[f"all {total} end members are fit for use: {minerals}"]])
+    notes = [f"end members: {minerals}", *([f"{rest} of {total} without a finding"] if rest else [])]
     return TextTable(["spectrum", "", "finding"], rows, notes=notes)

@@ -31,7 +31,7 @@ Spectrum = Annotated[
     str | None,
     typer.Option(
         metavar="X,Y",
-        help="No map: the spectrum of sample X and line Y, from 0, as a table that the other commands read.",
+        help="Write no map, but the spectrum of sample X and line Y (from 0) as a table for the other commands.",
         rich_help_panel=PIXELS,
     ),
 ]

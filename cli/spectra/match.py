@@ -23,9 +23,9 @@ ROCK, CRATERS, PRIOR, EXPOSURE = "Rock", "Craters", "Prior", "Survival and re-ex
 Rocks = Annotated[
     list[str] | None,
     typer.Argument(
-        help="Spectra, for the shares that `lunarsci spectra unmix` gives them, or JSON results of `spectra unmix`, "
-        "`spectra fit` (NBSR at 2 µm, if any) and `spectra bands` (band centres, which no embedded crater has); the "
-        "same id in two is one rock; - is stdin. None with --modes or --bands.",
+        help="Spectra, which then get shares as by `lunarsci spectra unmix`; or JSON results of `spectra unmix`, "
+        "`spectra fit` (NBSR at 2 µm, if any) and `spectra bands` (band centres, which no embedded crater has). The "
+        "same id in two results is one rock. - is stdin. None with --modes or --bands.",
         metavar="[ROCK]...",
     ),
 ]
@@ -33,6 +33,7 @@ OPTIONS = {
     "modes": option(panel=ROCK, metavar="MINERAL=FRACTION:ERROR,…"),
     "bands": option(panel=ROCK, metavar="bc1000=NM:ERROR,…"),
     "kind": option(panel=ROCK),
+    "id": option(panel=ROCK, metavar="NAME"),
     "name": option(panel=ROCK),
     "site": option(panel=ROCK, kind=str | None, metavar="LAT,LON"),
     "use": option(panel=ROCK),

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
-from lunarsci.errors import DataError, LunarSciError, LunarSciWarning
+from lunarsci.errors import DataError, LunarSciError, LunarSciWarning, ParameterError
 from lunarsci.heights.grid import ERROR_LAYERS
 from lunarsci.heights.grids import NETCDF, holds_heights, read_grid
 from lunarsci.heights.texts import node_columns
@@ -172,6 +172,7 @@ class FileInfo(Result):
             return []
         of_kind = WHEEL if self.contents.get("parts") == WHEEL_ALONE else KINDS[self.kind].commands
         of_kind = LABELLED if self.kind == "picture" and "camera" in self.contents else of_kind
+        of_kind = of_kind if self.contents.get("shares_of", True) else ()
         return [f"lunarsci {one}" for one in (*self.further, *of_kind)]
 
     def to_dict(self) -> dict[str, Any]:
@@ -285,6 +286,8 @@ def _contents(kind: str, file: InputFile | InputStream) -> tuple[Mapping[str, An
 def kind_of(file: InputFile) -> str:
     """The kind of a file, one of `KINDS`. Raises DataError for content that is none of them."""
     suffix = Path(file.name).suffix.lower()
+    if suffix in (".nc", ".tif") and _map_layers(file):
+        return "map"
     if file.data.startswith(NETCDF) and holds_heights(Path(file.name)):
         return "terrain"
     if magic := next((kind for start, kind in MAGIC_BYTES.items() if file.data.startswith(start)), None):
@@ -546,18 +549,42 @@ def _spectra(file: InputFile) -> Mapping[str, Any]:
 
 
 def _cube(file: InputFile) -> Mapping[str, Any]:
-    from lunarsci.spectra.cubes.rasters import M3_NAME, open_pds
+    from lunarsci.spectra.cubes.rasters import M3_NAME, open_cube, open_pds
 
     if not is_pds_label(file):
         m3 = M3_NAME.search(file.name)
         if m3 and m3[2].upper() in ("RDN", "L1B"):
             raise DataError(f"{file.name}: radiance of M3, no reflectance; the _RFL.IMG of Level 2 has that")
-        holds = M3_IMAGES.get(m3[2].upper(), "") if m3 else ""
-        return {"bytes": len(file.data)} | ({"holds": holds} if holds else {})
+        if m3 and (holds := M3_IMAGES.get(m3[2].upper(), "")):
+            return {"bytes": len(file.data), "holds": holds}
+        try:
+            cube = open_cube(file.name)
+        except ParameterError:  # without the extra
+            return {"bytes": len(file.data)}
+        (lines, samples), nm = cube.shape, cube.wavelength_nm
+        return {"lines": lines, "samples": samples, "bands": nm.size, "from_nm": float(nm[0]), "to_nm": float(nm[-1])}
     images = read_pds_label(file).images
     open_pds(file.name)
     return {one.file: f"{one.lines} lines, {one.samples} samples, {one.bands} bands"
             f"{f' in {one.unit}' if one.unit else ''}" for one in images}  # fmt: skip
+
+
+def _map_layers(file: InputFile) -> list[str]:
+    """Layers of a file that `spectra map` wrote, without their errors; none of another."""
+    from lunarsci.spectra.cubes.output import FLAG_LAYER
+    from lunarsci.spectra.origin.mineral_map import layers_of
+
+    try:
+        layers = layers_of(file.name) if Path(file.name).is_file() else []
+    except (LunarSciError, ImportError):
+        return []
+    return [name for name in layers if name != FLAG_LAYER] if FLAG_LAYER in layers else []
+
+
+def _map(file: InputFile) -> Mapping[str, Any]:
+    from lunarsci.spectra.origin.mineral_map import minerals_of
+
+    return {"layers": len(_map_layers(file)), "shares_of": _listed(minerals_of(file.name))}
 
 
 def _craters(file: InputFile) -> Mapping[str, Any]:
@@ -776,7 +803,7 @@ def _result(file: InputFile) -> Mapping[str, Any]:
 CONTENTS: Mapping[str, Callable[[InputFile], Mapping[str, Any]]] = {
     "spectra": _spectra, "library": _spectra, "vnis": _spectra, "cube": _cube, "craters": _craters, "plan": _plan,
     "mission": _mission, "rover": _rover, "soil": _soil, "pose": _pose, "camera": camera_contents, "rig": _rig,
-    "terrain": _terrain, "picture": _picture,
+    "map": _map, "terrain": _terrain, "picture": _picture,
     "belief": _belief, "soil map": _soil_map, "telemetry": _telemetry, "states": _states, "slips": _states,
     "prior": _prior, "motion": _rows, "positions": _rows, "track": _rows, "soils": _rows, "table": _other_table,
     "result": _result,

@@ -3,13 +3,12 @@
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
-from itertools import product
 from typing import Any
 
 from lunarsci.errors import DataError
 from lunarsci.names import some_of
 from lunarsci.pages.documents import Document
-from lunarsci.pages.words import ANSWERED, DOUBT, GO, MOST, STOP, AnsweredKind, Result, ResultAnswer, trust
+from lunarsci.pages.words import ANSWERED, DOUBT, GO, MOST, STOP, AnsweredKind, ResultAnswer, trust
 from lunarsci.registry import result_of
 
 
@@ -50,29 +49,6 @@ def answer(document: Document) -> ResultAnswer:
     tone = drafted.tone if trusted or drafted.tone == STOP else DOUBT
     text = f"{trust_text} Otherwise: {drafted.text}" if tone == DOUBT and drafted.tone == GO else drafted.text
     return ResultAnswer(text, tone, trust_text)
-
-
-def contradictions(documents: Sequence[Document]) -> dict[str, str]:
-    """What fits and shares of one spectrum say that cannot both be true, by the names of their documents."""
-    spectra: dict[Any, list[tuple[Document, Result]]] = {}
-    for document in (one for one in documents if one.kind in ("spectra-fit", "spectra-unmix")):
-        with as_written(document):
-            hashes = {one.get("path"): one.get("sha256") for one in document.provenance.get("inputs") or ()}
-            for record in document.result["spectra"]:
-                if digest := hashes.get(record.get("source")):
-                    spectra.setdefault((digest, record["id"]), []).append((document, record))
-    if not spectra:
-        return {}
-    from lunarsci.pages.rock_answers import against
-
-    contrary: dict[str, dict[str, None]] = {}
-    for records in spectra.values():
-        for (fit, fitted), (mix, mixed) in product(records, records):
-            with as_written(fit), as_written(mix):
-                text = against(fitted, mixed)
-            for name in (fit.name, mix.name) if text else ():
-                contrary.setdefault(name, {})[text] = None
-    return {name: some_of(list(text), MOST, " ") for name, text in contrary.items()}
 
 
 def namesakes(documents: Sequence[Document]) -> dict[str, str]:

@@ -11,7 +11,7 @@ from typing import Any
 
 from lunarsci.errors import ParameterError
 from lunarsci.pages import parts
-from lunarsci.pages.answers import answer, as_written, contradictions, namesakes, title_of
+from lunarsci.pages.answers import answer, as_written, namesakes, title_of
 from lunarsci.pages.charts import Chart, charts
 from lunarsci.pages.documents import Document, GivenPicture
 from lunarsci.pages.relief import Ground, GroundView, Line, lines_of, relief
@@ -117,9 +117,9 @@ class Page:
     answers: Sequence[ResultAnswer] = field(init=False)
 
     def __post_init__(self) -> None:
-        against, others = contradictions(self.documents), namesakes(self.documents)
-        each = [(answer(one), against.get(one.name), others.get(one.name)) for one in self.documents]
-        answers = [replace(one, trust=" ".join(filter(None, (one.trust, *more)))) for one, *more in each]
+        others = namesakes(self.documents)
+        each = [(answer(one), others.get(one.name)) for one in self.documents]
+        answers = [replace(one, trust=" ".join(filter(None, (one.trust, more)))) for one, more in each]
         object.__setattr__(self, "answers", answers)
 
     def section_title(self, document: Document) -> str:

@@ -19,8 +19,6 @@ MOST_LAYERS = 3
 """Layers of a map that a sentence names, centres of bands first."""
 MOST_NAMED = 4
 """Quantities that a sentence names."""
-HARDLY, CLEARLY = 0.05, 0.10
-"""Share of a mineral below which a mixture has hardly any, and above which it clearly has some; assumed."""
 
 
 @answers("Calibrated spectra", "spectra-calibrate")
@@ -101,7 +99,7 @@ def _unmixed_in_short(one: Result) -> str:
     if one["kind"]["name"] == "weathered-soil":
         return "a weathered soil, whose minerals are not unmixed"
     if one["abundance"]["in_domain"]:
-        return "in domain, each share likely within 15 %"
+        return "in domain"
     return "out of domain, quote 95 % intervals alone" if _mineral_shares(one) else str(one["abundance"]["status"])
 
 
@@ -147,23 +145,6 @@ def _mineral_shares(one: Result) -> list[str]:
         for mineral, item in (one.get("abundance") or {}).items()
         if isinstance(item, Mapping) and plain(item.get("fraction")) is not None
     ]
-
-
-def against(fitted: Result, mixed: Result) -> str:
-    """What the fit of a spectrum and its shares say of a mineral that cannot both be true; '' where nothing is.
-
-    `fitted` is of `spectra fit --assemblage auto`; of `mixed`, of `spectra unmix`, count shares that may be quoted.
-    """
-    chosen, lines = fitted.get("choice") or {}, []
-    shares = mixed.get("abundance") or {}
-    if shares.get("in_domain"):
-        for mineral in chosen.get("sure", ()):
-            if mineral in shares and (most := shares[mineral]["high95"]) < HARDLY:
-                lines.append(f"of {mineral}, which the fit is sure of, the shares have {percent(most)} at most")
-        for mineral in chosen.get("not_needed", ()):
-            if mineral in shares and (least := shares[mineral]["low95"]) > CLEARLY:
-                lines.append(f"of {mineral}, which the fit does without, the shares have {percent(least)} at least")
-    return f"{fitted['id']}: the fit and the shares contradict each other: {'; '.join(lines)} (95 %)." if lines else ""
 
 
 @answers("Where the rock came from", "spectra-match")

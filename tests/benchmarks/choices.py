@@ -1,18 +1,26 @@
 """How often the choice of minerals is right, each suite left out of what TEMPER and PENALTY are learned from.
 
-`LUNARSCI_REFERENCE_DATA=… python tests/benchmarks/choices.py`, some minutes.
+`LUNARSCI_REFERENCE_DATA=… python tests/benchmarks/choices.py [NETWORKS]`, some minutes. With networks of the folds, of
+`make_share_networks.py`, also how often minerals are there that are sure, and probably absent, by either probability.
 """
 
 import os
+import sys
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from lunarsci.spectra_data.make_share_calibration import all_spectra
+from lunarsci.spectra_data.make_share_networks import FOLDS, fold_of, measured
 from scipy.optimize import minimize
 from scipy.special import log_softmax
 
 from lunarsci.io.inputs import read_input
-from lunarsci.spectra.mgm.assemblages import FAMILIES
+from lunarsci.minerals import WEIGHED
+from lunarsci.spectra.abundance.kinds import find_kinds
+from lunarsci.spectra.abundance.learned import foretell_each, unpacked
+from lunarsci.spectra.abundance.shares import LIKELY, answer, calibration, how_dark, solid_rock
+from lunarsci.spectra.mgm.assemblages import FAMILIES, SURE
 from lunarsci.spectra.mgm.selection import CREDIBLE, MOST_TOGETHER, choose
 from lunarsci.spectra.readers.dispatch import read_spectra
 
@@ -61,6 +69,28 @@ def row(name: str, values: np.ndarray, truth: np.ndarray, numbers: np.ndarray) -
     return f"{name:10} {truth.size} spectra: first {first:.2f}, strong {strong.mean():.2f}, of these right {sure:.3f}"
 
 
+def standings(data: Path, networks: Path) -> None:
+    """Of 409 spectra, minerals that are sure and probably absent by the fit and by `present`, and are there."""
+    powders, spectra = measured(data / "spectra"), all_spectra(data / "spectra")
+    fold, there = fold_of(powders.suites), powders.shares > COUNTED
+    choices = choose(spectra)
+    need = np.array([[one.minerals[name] for name in WEIGHED] for one in choices])
+    present, inside = np.empty(need.shape), np.empty(len(spectra), dtype=bool)
+    for k in range(FOLDS):
+        with np.load(networks / f"fold-{k}.npz") as found:
+            learned_of_fold = unpacked(found)
+        rows = np.flatnonzero(fold == k)
+        some = [spectra[row] for row in rows]
+        every, kinds = np.ones((len(rows), 4)), find_kinds(some)
+        result = answer(foretell_each(some, every, learned_of_fold), every, how_dark(kinds), solid_rock(kinds))
+        present[rows], inside[rows] = result.present(calibration()), result.near() >= LIKELY
+    for name, chance in (("fit", need), ("present", present)):
+        for what, rows in (("all", inside | True), ("out of domain", ~inside)):
+            sure, absent = chance[rows] >= SURE, chance[rows] <= 1 - SURE
+            print(f"{name:8} {what:14} sure {sure.sum()}, of these there {there[rows][sure].mean():.3f}; "
+                  f"absent {absent.sum()}, of these there {there[rows][absent].mean():.3f}")  # fmt: skip
+
+
 def main() -> None:
     """Print both rows."""
     data = Path(os.environ["LUNARSCI_REFERENCE_DATA"])
@@ -73,6 +103,8 @@ def main() -> None:
     print(f"learned from all of relab: {own[0]:.2f}, {own[1]:.2f}")
     others, right, _ = evidence(data, "minerals")
     print(row("minerals", others, right, np.tile(own, (right.size, 1))))
+    for networks in sys.argv[1:]:
+        standings(data, Path(networks))
 
 
 if __name__ == "__main__":

@@ -288,9 +288,11 @@ def test_end_members_of_the_user_take_the_place_of_the_embedded_ones(run, rock: 
     assert record["abundance"]["orthopyroxene"]["fraction"] > 0.9 and record["abundance"]["learned"] == 0.0
     embedded = unmixed(run, libraries[1], *options[:4])
     assert embedded["abundance"]["orthopyroxene"] != record["abundance"]["orthopyroxene"]
-    lacking = run("spectra", "unmix", rock, "--method", "hapke", "--library", library)
-    assert lacking.code == 1
-    assert "no end member of clinopyroxene" in lacking.err[-1]
+    asked = ("spectra", "unmix", libraries[1], "--method", "hapke", "--library", library)
+    served = run(*asked)
+    assert served.code == 0 and "has no clinopyroxene, plagioclase: the shares are of olivine, orth" in served.err[0]
+    lacking = run(*asked, "--assemblage", "OL-CPX")
+    assert lacking.code == 1 and "no end member of clinopyroxene" in lacking.err[-1]
 
 
 def test_columns_of_spectra_have_a_row_each(run, rock: Path, tmp_path: Path) -> None:

@@ -109,7 +109,7 @@ def test_check_is_content_with_a_good_library(run, library: Path) -> None:
     done = run(*LIBRARY, "check", library, "--json")
     assert (done.code, done.err) == (0, [])
     assert json.loads(done.out)["result"]["ok"] is True
-    assert "all 6 end members are fit for use" in run(*LIBRARY, "check", library).out
+    assert "all 6 end members are fit for use: 3 of olivine, 3" in run(*LIBRARY, "check", library).out
 
 
 def test_check_names_what_must_be_mended_and_exits_3(run, library: Path) -> None:

@@ -124,7 +124,7 @@ def test_results_of_fit_and_bands_are_one_rock(run, fitted: tuple[Path, Path]) -
     assert rock["modes"]["orthopyroxene"]["sigma"] > 0.1
     centre = json.loads(bands.read_text())["result"]["spectra"][0]["bc1000_nm"]
     assert rock["bands"]["bc1000_nm"]["center_nm"] == pytest.approx(centre)
-    assert any("outside the domain" in remark for remark in rock["remarks"])
+    assert any("out of domain" in remark for remark in rock["remarks"])
 
 
 def test_several_rocks_and_a_bad_input_among_them(run, fitted: tuple[Path, Path], tmp_path: Path) -> None:
@@ -149,7 +149,14 @@ def test_of_spectra_the_shares_of_unmix_are_matched(run, rock: Path, tmp_path: P
     assert run("spectra", "unmix", rock, "-q", "-o", shares).code in (0, 3)
     by_shares, at_once = (run("spectra", "match", one, "--csv") for one in (shares, rock))
     assert at_once.out == by_shares.out and at_once.out.count("\n") > 5
-    assert "their shares are those of `spectra unmix`" in at_once.err[0]
+    assert "shares were made by `spectra unmix` of these spectra, whose kind" in at_once.err[0]
+    name = json.loads(shares.read_text())["result"]["spectra"][0]["id"]
+    stated = run("spectra", "match", rock, "--kind", "solid-rock", "--id", name, "--csv")
+    assert stated.out != at_once.out and "of the kind solid-rock" in stated.err[0]
+    assert "no spectrum is called 'nobody'" in run("spectra", "match", rock, "--id", "nobody").err[-1]
+    assert "`kind` is of spectra" in run("spectra", "match", shares, "--kind", "solid-rock").err[-1].replace(
+        "--kind", "`kind`"
+    )
 
 
 def test_a_catalogue_of_the_user_anywhere_on_the_moon(run, tmp_path: Path) -> None:

@@ -104,7 +104,7 @@ def test_opaques_and_iron_are_terms_of_the_end_members(run, mixtures: Path) -> N
 
 def test_the_first_table_is_the_shares(run, mixtures: Path, tmp_path: Path) -> None:
     text = run("spectra", "unmix", mixtures, *NAMED).out
-    assert text.splitlines()[0] == "shares of olivine, orthopyroxene by volume, with 68 % intervals"
+    assert text.splitlines()[0] == "shares of olivine, orthopyroxene by volume, with 95 % intervals"
     one = run("spectra", "unmix", mixtures, *NAMED, "--id", "a").out
     assert one.splitlines()[0] == "a: shares of minerals by volume"
     assert len(one.splitlines()) < 16

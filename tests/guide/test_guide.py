@@ -174,6 +174,7 @@ def test_every_kind_is_told_somehow_and_says_what_is_in_it() -> None:
         "result",
         "table",
         "camera",
+        "map",
     }
     assert told == KINDS.keys() - {"folder"}
     assert KINDS.keys() - CONTENTS.keys() == {"mgm", "config", "zones", "folder"}

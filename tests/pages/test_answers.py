@@ -11,7 +11,7 @@ from former import former_answers
 
 from lunarsci.errors import DataError, ParameterError
 from lunarsci.figure import FIRST_PAGE
-from lunarsci.pages.answers import answer, answered, contradictions, namesakes
+from lunarsci.pages.answers import answer, answered, namesakes
 from lunarsci.pages.documents import Document, _first_pages, document_of, read_results
 from lunarsci.pages.page import Page
 from lunarsci.pages.parts import apart, assumed, budget, quantities, tables, unknown
@@ -315,32 +315,6 @@ def test_the_page_of_a_joint_soil_keeps_single_states_under_their_heading() -> N
     assert {"observations", "bearing, curve"} <= told and "agreement" not in told
     same, nothing = apart(of("identify"))
     assert nothing is None and same.result == KNOWN["identify"]["result"]
-
-
-def test_a_fit_and_shares_that_contradict_each_other_are_told_on_both_sections() -> None:
-    one = {"path": "rock.csv", "sha256": "0" * 64}
-    share = {"olivine": {"low95": 0.0, "high95": 0.02}, "orthopyroxene": {"low95": 0.2, "high95": 0.5}}
-    chosen = {"sure": ["olivine"], "open": [], "not_needed": ["orthopyroxene"]}
-    fitted = replace(of("fit"), name="fit.json", provenance={"inputs": [one]})
-    fitted = replace(
-        fitted,
-        result={"spectra": [fitted.result["spectra"][0] | {"id": "rock", "source": "rock.csv", "choice": chosen}]},
-    )
-
-    def mixed(**changes: Any) -> Document:
-        record = {"id": "rock", "source": "rock.csv", "abundance": share | {"in_domain": True} | changes}
-        return replace(fitted, name="shares.json", result={"spectra": [record]})
-
-    told = contradictions([fitted, mixed()])
-    assert told.keys() == {"fit.json", "shares.json"}
-    assert "of olivine, which the fit is sure of, the shares have 2 % at most" in told["fit.json"]
-    assert "of orthopyroxene, which the fit does without, the shares have 20 % at least" in told["shares.json"]
-    assert not contradictions([fitted, mixed(in_domain=False)])
-    assert not contradictions(
-        [fitted, mixed(olivine={"low95": 0.1, "high95": 0.5}, orthopyroxene={"low95": 0, "high95": 1})]
-    )
-    other = replace(mixed(), provenance={"inputs": [one | {"sha256": "1" * 64}]})
-    assert not contradictions([fitted, other])
 
 
 def test_spectra_of_one_name_and_other_data_are_said() -> None:

@@ -22,7 +22,7 @@ from lunarsci.io.tables import table_rows
 from lunarsci.minerals import WITH_BANDS
 from lunarsci.spectra.abundance.kinds import kinds_of_rows
 from lunarsci.spectra.abundance.result import Abundance, MineralFraction
-from lunarsci.spectra.abundance.shares import GOOD, LIKELY
+from lunarsci.spectra.abundance.shares import GOOD, LIKELY, UNTESTED
 from lunarsci.spectra.mgm.batch import FitBatch, batch_of
 from lunarsci.spectra.mgm.data import MgmRows, SpectraRows
 from lunarsci.spectra.mgm.fit import SpectraFits
@@ -97,12 +97,12 @@ def _law_of(assemblage: str) -> Mapping[str, str]:
 
 
 def _status(near: float, weathered: bool, doubted: bool, inside: bool) -> str:
-    within = f"with a probability of {near:.2f} within {100 * GOOD:.0f} %"
+    within = f"the share is within {100 * GOOD:.0f} % of the truth with a probability of {near:.2f}"
     if weathered:
-        return "out of domain: it looks weathered, as no spectrum of known shares does"
+        return f"out of domain: {UNTESTED}"
     if doubted:
         return "out of domain: the fit is strained, so that its bands may be those of other minerals"
-    return within if inside else f"out of domain: only {within}, as of one pyroxene that has the bands of two"
+    return within if inside else f"out of domain: {within}; one pyroxene may have the bands of two"
 
 
 def _has_ratio(batch: FitBatch) -> BoolArray:

@@ -180,9 +180,7 @@ def _unfit(kind: KindVerdict) -> str:
     if kind.outlier:
         return "; ".join(kind.reasons)
     soil, rock = (kind.probabilities[name] for name in ("weathered-soil", "solid-rock"))
-    return (
-        "rather a solid rock than a soil, as far as is known: state the kind" if rock > soil and not kind.stated else ""
-    )
+    return "it looks more like a solid rock than like a soil; state the kind" if rock > soil and not kind.stated else ""
 
 
 CALLED = {"plagioclase_wt": "plagioclase", "feo_wt": "FeO", "tio2_wt": "TiO2"}

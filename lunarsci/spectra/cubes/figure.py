@@ -2,7 +2,7 @@
 
 import json
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,19 +13,24 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from lunarsci.arrays import FloatArray
+from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.constants import MOON_RADIUS_KM
 from lunarsci.figure import AMBER, BLUE, PAGE_IN, SKY, TALLEST_IN, VERMILION, as_label, headline, page
 from lunarsci.spectra.cubes.cube import FLAGS, SYNTHETIC, PixelFrame
 from lunarsci.spectra.cubes.output import FLAG_LAYER, SUFFIXES, is_geographic
 from lunarsci.spectra.cubes.rasters import frame_of, netcdf, netcdf_frame, opened
 
-FIRST = (
-    "bd1000", "bc1000_nm", "bd2000", "bc2000_nm", "nbsr_um2_opx", "fit_rms_ln", "olivine", "orthopyroxene", "ibd1000",
-)  # fmt: skip
+SHARE, DOMAIN, BOTH = "share_", "shares{}_in_domain", "_both"
+"""Names of layers: shares of minerals, which come first, whether they are in domain, and the end of those with
+mixtures."""
+FIRST = ("bd1000", "bc1000_nm", "bd2000", "bc2000_nm", "nbsr_um2_opx", "fit_rms_ln", "ibd1000")
 PER_PAGE = 9
 MOST_PIXELS = 700
 """On a side of a panel; more are thinned."""
+LEAST_IN = 2.4
+"""Height of a panel with its title and scale at least; assumed. [in]"""
+STRIPES = 300
+"""On a side of what is hatched; fewer pixels are divided; assumed."""
 LONG = 3.0
 """A map that is more times as long as wide, or as wide as long, is drawn so many times; the kilometres say so."""
 NO_VALUE = "#c8c8c8"
@@ -55,7 +60,11 @@ def map_pages(path: Path, record: Mapping[str, Any]) -> Iterator[Figure]:
     """
     values = [row for row in record["layers"] if row["kind"] == "value" and row["name"] not in PLACES]
     shown = [one for one in values if not any(part in one["name"] for part in _ERRORS) and one["determined"] != 0]
-    ranked = sorted(shown, key=lambda layer: FIRST.index(layer["name"]) if layer["name"] in FIRST else len(FIRST))
+    shares = [one for one in shown if one["name"].startswith(SHARE)]
+    both = [(one, one | {"long_name": "width of its 95 % interval", "ends": True}) for one in shares]
+    rest = [one for one in shown if one not in shares]
+    rest.sort(key=lambda layer: FIRST.index(layer["name"]) if layer["name"] in FIRST else len(FIRST))
+    ranked = [*(one for pair in both for one in pair), *rest]
     for start in range(0, max(len(ranked), 1), PER_PAGE - 1):
         yield _page(path, record, ranked[start : start + PER_PAGE - 1])
 
@@ -94,15 +103,18 @@ def _page(path: Path, record: Mapping[str, Any], layers: Sequence[Mapping[str, A
     columns = min(len(layers) + 1, 4 if drawn > 1.5 else 3)
     rows = -(-(len(layers) + 1) // columns)
     wide = min(PAGE_IN / columns, PAGE_IN / 2.4)
-    tall = (0.72 * wide * drawn + 1.1) * rows + 0.6
+    tall = max(0.72 * wide * drawn + 1.1, LEAST_IN) * rows + 0.6
     # A page that were taller than paper is made narrower, so that its panels stay as long.
     figure = page(tall, max(PAGE_IN * min(1.0, TALLEST_IN / tall), 5.2) if columns > 2 else wide * columns + 0.4)
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     extent = (0.0, samples * width, lines * height, 0.0)
     thinned = tuple(slice(None, None, max(1, -(-size // MOST_PIXELS))) for size in shape)
     for panel, layer in zip(panels, (None, *layers), strict=False):
-        name = layer["name"] if layer else FLAG_LAYER
-        _draw(figure, panel, pixels_of(path, name, numbers[name], thinned), layer, extent)
+        name = layer["name"] if layer else ""
+        image = _image(path, numbers, layer, thinned)
+        _draw(figure, panel, image, layer, extent, drawn)
+        if (domain := _domain_of(name)) in numbers:
+            _hatch(panel, np.isfinite(image) & (pixels_of(path, domain, numbers[domain], thinned) == 0), extent)
         panel.set_aspect(drawn / long)
         panel.set_xlabel("along the lines [km]" if ground else "sample [px]")
     for number, panel in enumerate(panels[: len(layers) + 1]):
@@ -115,12 +127,31 @@ def _page(path: Path, record: Mapping[str, Any], layers: Sequence[Mapping[str, A
     if ground:
         _point_north(panels[0], ground, drawn / long)
     synthetic = any(SYNTHETIC in text for text in record["cube"]["remarks"])
-    headline(figure, _title(record, drawn / long, ground), synthetic=synthetic)
+    hatched = dict.fromkeys(_domain_of(layer["name"]) for layer in layers)
+    headline(figure, _title(record, drawn / long, ground, hatched), synthetic=synthetic)
     return figure
 
 
-def _title(record: Mapping[str, Any], squeezed: float, ground: _Ground | None) -> str:
-    """Which part of the cube it is, and how to read the page; `squeezed` is how much longer panels are than the map."""
+def _domain_of(name: str) -> str:
+    """The layer that says whether a share is in domain, by the name of the share; '' of other layers."""
+    return DOMAIN.format(BOTH if name.endswith(BOTH) else "") if name.startswith(SHARE) else ""
+
+
+def _image(
+    path: Path, numbers: Mapping[str, int], layer: Mapping[str, Any] | None, part: tuple[slice, ...]
+) -> FloatArray:
+    """Pixels of a panel: of a layer, of the width of its interval, or the flags where it is None."""
+    name = layer["name"] if layer else FLAG_LAYER
+    names = (f"{name}_low95", f"{name}_high95") if layer and layer.get("ends") else (name,)
+    first, *second = (pixels_of(path, one, numbers[one], part) for one in names)
+    return second[0] - first if second else first
+
+
+def _title(record: Mapping[str, Any], squeezed: float, ground: _Ground | None, hatched: Collection[str]) -> str:
+    """Which part of the cube it is, and how to read the page.
+
+    `squeezed` is how much longer panels are than the map, `hatched` the layers of domains that panels hang on.
+    """
     region, parts = record["map"], []
     for name in ("sample", "line"):
         first, step = region[f"first_{name}"], region["every"]
@@ -129,6 +160,9 @@ def _title(record: Mapping[str, Any], squeezed: float, ground: _Ground | None) -
     parts += [] if ground else ["no place on the Moon known"]
     parts += ["not to scale: see the numbers along the edges"] if abs(squeezed - 1) > 1e-6 else []
     parts += ["grey: not determined"]
+    outside = [row["codes"].partition("out_of_domain=")[2] for row in record["layers"] if row["name"] in hatched]
+    total = record["pixels"]["pixels"]
+    parts += [f"hatched: out of domain, {text.split()[0]} of {total} pixels" for text in outside if text]
     return f"{as_label(Path(record['cube']['file']).name, 80)}\n{', '.join(parts)}"
 
 
@@ -141,9 +175,13 @@ def pixels_of(path: Path, name: str, number: int, part: tuple[slice, ...]) -> Fl
 
 
 def _draw(
-    figure: Figure, panel: Any, image: FloatArray, layer: Mapping[str, Any] | None, extent: tuple[float, ...]
-) -> None:
-    """A layer, or the flags where it is None, with its scale; `extent` in km or pixels, as imshow takes it."""
+    figure: Figure, panel: Any, image: FloatArray, layer: Mapping[str, Any] | None, extent: tuple[float, ...],
+    drawn: float,
+) -> None:  # fmt: skip
+    """A layer, or the flags where it is None, with its scale; `extent` in km or pixels, as imshow takes it.
+
+    Shares, and the widths of their intervals, have one scale. `drawn` is how long the panel is for its width.
+    """
     if layer is None:
         codes = _worst_flag(image)
         panel.imshow(codes, ListedColormap(FLAG_COLORS), vmin=-0.5, vmax=5.5, extent=extent, interpolation="nearest")
@@ -154,13 +192,25 @@ def _draw(
         panel.set_title("pixels")
         return
     finite = image[np.isfinite(image)]
-    low, high = np.quantile(finite, (0.02, 0.98)) if finite.size else (0.0, 1.0)
+    share = layer["name"].startswith(SHARE)
+    low, high = np.quantile(finite, (0.02, 0.98)) if finite.size and not share else (0.0, 1.0)
     colors = colormaps["viridis"].with_extremes(bad=NO_VALUE)
-    drawn = panel.imshow(image, colors, vmin=low, vmax=high, extent=extent, interpolation="nearest")
-    bar = figure.colorbar(drawn, ax=panel, orientation="horizontal", fraction=0.05, pad=0.02, extend="both")
-    bar.ax.locator_params(nbins=4)
+    picture = panel.imshow(image, colors, vmin=low, vmax=high, extent=extent, interpolation="nearest")
+    thick = 0.05 / min(1.0, drawn)
+    bar = figure.colorbar(
+        picture, ax=panel, orientation="horizontal", fraction=thick, pad=0.02, extend="neither" if share else "both"
+    )
+    bar.ax.locator_params(nbins=4 if drawn > 0.5 else 3)
     bar.set_label("[-]" if layer["units"] == "1" else f"[{layer['units']}]")
     panel.set_title("\n".join([layer["name"], *textwrap.wrap(as_label(layer["long_name"], 60), 22)]), pad=9)
+
+
+def _hatch(panel: Any, where: BoolArray, extent: tuple[float, ...]) -> None:
+    """White stripes over some pixels."""
+    fine = max(1, STRIPES // max(where.shape))
+    there = np.kron(where, np.ones((fine, fine), dtype=bool))
+    stripe = np.add.outer(*map(np.arange, there.shape)) % 12 < 4
+    panel.imshow(np.dstack([np.ones((*there.shape, 3)), there & stripe]), extent=extent, interpolation="nearest")
 
 
 def _worst_flag(image: FloatArray) -> FloatArray:

@@ -66,7 +66,6 @@ class MgmFits(Result):
     batch, request : the spectra, and what was asked.
     fits : one fit, or one stated reason, for each spectrum.
     choices, intervals : by position, where they were asked for.
-    present : of choices, by position, the probability of more than 5 % of each mineral as `unmix` gives it.
     abundances : shares of pyroxenes by NBSR, by position: one, or none where there is no ratio.
     failures, files : what gave no fit, one sentence each; the start, and what else was read beside the spectra.
     """
@@ -76,7 +75,6 @@ class MgmFits(Result):
     request: ModelRequest
     fits: Sequence[MgmFit | MgmFailure]
     choices: Mapping[int, Choice] = field(default_factory=dict)
-    present: Mapping[int, Mapping[str, float | None]] = field(default_factory=dict)
     intervals: Mapping[int, Intervals] = field(default_factory=dict)
     abundances: Mapping[int, Sequence[Abundance]] = field(default_factory=dict)
     failures: Sequence[Failure] = ()
@@ -153,7 +151,7 @@ class MgmFits(Result):
         return item.to_dict() | {
             "source": origin,
             "compositions": {one.key: asdict(one) for one in compositions(item)} if isinstance(item, MgmFit) else {},
-            "choice": choice.to_dict() | {"present": self.present.get(index)} if choice else None,
+            "choice": choice.to_dict() if choice else None,
             "intervals": intervals.to_dict() if intervals else None,
             "abundance": result[0].to_dict() if result else None,
         }
@@ -271,6 +269,8 @@ def _chosen(spectra: Sequence[Spectrum], request: ModelRequest, progress: Progre
     stated = parse_compositions(request.composition) if request.composition else None
     result = choose(spectra, continuum=request.continuum, compositions=stated, progress=progress)
     choices = with_causes(spectra, {index: item for index, item in enumerate(result) if isinstance(item, Choice)})
+    there = presence([spectra[index] for index in choices])
+    choices = {index: replace(one, present=shares) for (index, one), shares in zip(choices.items(), there, strict=True)}
     fits: list[Any] = list(result)
     for name in dict.fromkeys(choice.assemblage for choice in choices.values()):
         subset = [index for index, choice in choices.items() if choice.assemblage == name]
@@ -279,5 +279,4 @@ def _chosen(spectra: Sequence[Spectrum], request: ModelRequest, progress: Progre
             fits[index] = item
             if isinstance(item, MgmFit) and item.converged:
                 choices[index] = replace(choices[index], beyond=beyond_any(item))
-    present = dict(zip(choices, presence([spectra[index] for index in choices]), strict=True))
-    return {"fits": fits, "choices": choices, "present": present}
+    return {"fits": fits, "choices": choices}

@@ -1,6 +1,7 @@
 """Libraries of end members: made of files of spectra, listed, and checked."""
 
 import warnings
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -41,6 +42,11 @@ class Library(Result):
     @property
     def made_from(self) -> MadeFrom:
         return MadeFrom(inputs=self.inputs, sources=sorted({member.source for member in self.members if member.source}))
+
+    @property
+    def minerals(self) -> Mapping[str | None, int]:
+        """How many end members there are of each mineral, most first."""
+        return dict(Counter(member.mineral for member in self.members).most_common())
 
     def to_dict(self) -> dict[str, Any]:
         return {"end_members": self.rows()}

@@ -311,7 +311,7 @@ class UnmixProduct(Product):
                           for level in ("", "95") for end in ("low", "high")]  # fmt: skip
             if not ending:
                 result.append(Layer("kind", "kind of target", meanings=tuple(slug(name) for name in KINDS)))
-            meaning = f"whether all shares are likely within 15 %, method: {method}"
+            meaning = f"whether the shares are in domain, method: {method}"
             result.append(Layer(f"shares{ending}_in_domain", meaning, meanings=domain))
         return result
 

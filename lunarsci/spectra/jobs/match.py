@@ -45,6 +45,7 @@ from lunarsci.spectra.origin.match import (
 )
 from lunarsci.spectra.origin.mineral_map import MapReport, minerals_of, with_maps
 from lunarsci.spectra.origin.prior import CHANG_E_4, LAW_SOURCES, SURVIVAL_SOURCE, PriorSettings, Range
+from lunarsci.spectra.readers.batch import places_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -262,15 +263,15 @@ def _rocks(sources: Sequence[Any], asked: MatchRequest) -> MatchInputs:
     stated = asked.modes is not None or asked.bands is not None
     if stated == bool(sources):
         raise RequestError("give results of `spectra unmix` or `fit`, or `modes` or `bands` of one rock, not both")
-    if asked.kind and asked.modes is None:
-        raise RequestError("`kind` is of `modes` of a rock without a file; results of `spectra unmix` have their own")
+    if asked.kind and asked.bands and asked.modes is None:
+        raise RequestError("`kind` is of `modes`, or of files of spectra; centres of bands have none")
     if stated:
         tables = (ERRORS,) if asked.kind else ()
         return MatchInputs([Rock(asked.name, *stated_composition(asked.modes, asked.bands, asked.kind), tables)])
-    return _read(sources)
+    return _read(sources, asked)
 
 
-def _read(sources: Sequence[Any]) -> MatchInputs:
+def _read(sources: Sequence[Any], asked: MatchRequest) -> MatchInputs:
     rocks: list[Rock] = []
     hashes: dict[str, str] = {}
     failures: list[Failure] = []
@@ -278,13 +279,15 @@ def _read(sources: Sequence[Any]) -> MatchInputs:
         try:
             for source in _opened(item):
                 hashes[source.name] = source.sha256
-                rocks += read_rocks(_shares_of(source))
+                rocks += read_rocks(_shares_of(source, asked))
         except LunarSciError as error:
             name = str(item) if isinstance(item, str | Path) else f"<{type(item).__name__}>"
             failures.append(Failure.of(name, error))
     if not rocks:
         raise BatchError.of(failures)
-    return MatchInputs(joined(rocks), hashes, failures)
+    rocks = joined(rocks)
+    chosen = places_of([rock.id for rock in rocks], asked.id) if asked.id else range(len(rocks))
+    return MatchInputs([rocks[k] for k in chosen], hashes, failures)
 
 
 def _opened(item: Any) -> Iterator[InputFile]:
@@ -297,12 +300,15 @@ def _opened(item: Any) -> Iterator[InputFile]:
             yield read_input(name)
 
 
-def _shares_of(source: InputFile) -> InputFile:
-    """A result as it is; of spectra the result of `unmix`, as its options are where none is given."""
+def _shares_of(source: InputFile, asked: MatchRequest) -> InputFile:
+    """A result as it is; of spectra the result of `unmix`, of the kind that is stated."""
     if source.data.lstrip()[:1] in (b"{", b"[", b""):
+        if asked.kind:
+            raise RequestError("`kind` is of spectra; this is a result, whose shares were made for a kind already")
         return source
-    shares = unmix(source)
-    warn(f"{source.name}: spectra; their shares are those of `spectra unmix` with its own defaults")
+    shares = unmix(source, kind=asked.kind or "auto")
+    how = f" of the kind {asked.kind}" if asked.kind else ", whose kind it weighs by itself"
+    warn(f"{source.name}: shares were made by `spectra unmix` of these spectra{how}")
     return InputFile(source.name, shares.to_json(time=False).encode())
 
 

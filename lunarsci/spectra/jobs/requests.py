@@ -83,7 +83,7 @@ class BandsRequest:
     ----------
     continuum : conic: through 700, 1345, 1580 nm, guarded; hull: upper convex hull; linear: between shoulders.
     smooth_nm : Savitzky-Golay window in nm, at most 300 (half of a band); 0 for none.
-    smooth : Window as an odd number of channels, of the median spacing, in place of `smooth_nm`.
+    smooth : Window as an odd number of channels of the median spacing, instead of `smooth_nm`.
     smooth_order : Order of the smoothing polynomial.
     wavelength_unit : Unit of the wavelengths.
     reflectance_unit : Unit of the reflectance.
@@ -135,14 +135,14 @@ class ModelRequest:
     assemblage : Minerals whose bands are fitted: OL, OPX, CPX, PLG, joined by hyphens. auto compares all assemblages,
         fits the most probable one, and names those that the spectrum does not distinguish.
     continuum : Polynomial inside the logarithm, in wavelength or wavenumber; log-quadratic: of the logarithm.
-    composition : What is known of Fo, Fs, Wo in mol %, such as fo=70:5; shifts expected band centres.
+    composition : What is known of Fo, Fs, Wo in mol %, such as fo=70:5. It shifts the expected band centres.
     start : Bands, continuum and their uncertainties from a start or result file of the RELAB MGM program, instead of
         `assemblage` and `continuum`; all channels are fitted.
-    band_minerals : Minerals of the bands of `start`, by their number, such as 2=OPX,3=CPX, for the ratios of strengths;
-        a comment behind the values of a band names one, too.
+    band_minerals : Minerals of the bands of `start`, by their number, such as 2=OPX,3=CPX, for the ratios of
+        strengths. A comment behind the values of a band in that file names its mineral, too.
     prior : map: priors count as measurements; damping: they only slow the iteration, as in the RELAB MGM program.
     model_error : Error of ln R for what the model cannot explain, added to the noise; above 0, below 1. By default
-        0.003 and 4 % of the depth of the deepest absorption, in quadrature. What auto compares has an error of its own.
+        0.003 and 4 % of the depth of the deepest absorption, in quadrature. The comparison of auto has another error.
     starts : Starting points, beside a search around the lowest minimum; 0 for a quick look, one descent without a
         search.
     fix : Hold a parameter, such as opx_1_center_nm=915; also …_fwhm_nm, …_strength, and c0, c1, … of the continuum,
@@ -210,7 +210,7 @@ class FitRequest(ModelRequest):
     ----------
     errors : laplace: from the curvature; profile, sample: 68 and 95 % intervals that need not be symmetric, by
         refitting or by drawing from the posterior; seconds per spectrum.
-    continuum_spread : Fit under all continua but none, and report how far every value goes at most.
+    continuum_spread : Fit under every continuum, and report the largest change of every value.
     seed : Seed of `errors` sample.
     to_fit_file : whether a file of the RELAB MGM program is to be made of the fit, which must be possible then.
     """
@@ -249,15 +249,15 @@ class UnmixRequest:
         such as a chondrite; weathered-soil, which is not unmixed; solid-rock, which must be stated, since a rock looks
         like the soil beside it. auto weighs each kind by its probability.
     method : How end members mix: hapke, in the albedo of single scattering; absorbance, in -ln R; both, by evidence.
-    library : End members instead of the embedded ones; see `spectra library`.
-    together : With `assemblage` or `library`: take all spectra as mixtures of the same powders of minerals, which are
-        then found far better than one by one. Of rocks it changes nothing.
-    known : Table of id and one column per mineral, in shares of 1, of mixtures whose shares are known; an empty cell is
+    library : End members instead of the embedded ones; see `spectra library`. Minerals that it lacks count as absent.
+    together : With `assemblage` or `library`: take all spectra as mixtures of the same powders. Several mixtures of a
+        powder fix it far better than one. The shares of solid rocks stay as they are.
+    known : Table of mixtures whose shares are known: id and one column per mineral, in shares of 1. An empty cell is
         solved for, 0 means that the mineral is absent. Implies `together`.
     opaque : There may be an opaque phase beside the end members, such as ilmenite.
     iron : There may be nanophase iron on all grains: space weathering.
-    prior : What is expected before the spectrum is seen: powders, mixtures as the networks learned from; lunar-rocks,
-        rocks as were returned from the Moon, of which a solid rock (`kind` solid-rock) is likely one.
+    prior : What is expected before the spectrum is seen. powders: mixtures like those that the networks learned from.
+        lunar-rocks: rocks like those that were returned from the Moon, for a target that is surely a lunar rock.
     wavelength_unit : Unit of the wavelengths.
     reflectance_unit : Unit of the reflectance.
     id : Take only these spectra of the files, by name or pattern (JB*), in this order. May be repeated.
@@ -299,17 +299,18 @@ class UnmixRequest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MatchRequest:
-    """A rock without a file, the craters, and what the prior is made of.
+    """The rocks, the craters, and what the prior is made of.
 
     Attributes
     ----------
-    modes : Modes of a rock without a file, of OL, OPX, CPX, PLG, by abbreviation or name; two or more, compared as
-        shares of those given.
-    bands : Its band centres, bc1000 and bc2000, in nm.
-    kind : Kind of target of `modes`; errors are raised to those known for this kind. Left out: errors as given.
+    modes : Modes of a rock without a file: two or more of OL, OPX, CPX, PLG, by abbreviation or name. Compared are the
+        shares among those given.
+    bands : Band centres of that rock, bc1000 and bc2000, in nm.
+    kind : Kind of target. Of spectra it is that of `spectra unmix`, left out: weighed by their look. Of `modes` errors
+        are raised to those measured of this kind, left out: errors as given.
     name : Name of that rock.
     site : Where the rock was found, in degrees, east positive. Left out: Chang'E-4, -45.44,177.56; `craters` need it.
-    use : Which kind of composition is compared, where a crater has it.
+    use : What is compared with a crater: modes, bands (centres), or both. What a crater lacks is not compared.
     systematic : Disagreement of two methods in the share of a mineral, one standard deviation.
     band_systematic : The same for band centres, in nm.
     craters : Candidates as CSV: name, latitude_deg, longitude_deg, diameter_km; also age_low_ma, age_high_ma, olivine,
@@ -328,9 +329,10 @@ class MatchRequest:
     rock_size : Size of the rock, in m.
     life_exponent : The life of a rock is proportional to this power of its size; assumed.
     re_excavation : Buried ejecta are brought up again.
-    stirring : Factor on the local ground that falling ejecta stir up (Oberbeck).
-    gardening : Buried rock that small local craters keep at the surface, as a thickness in m; assumed.
+    stirring : Factor on Oberbeck's ratio of the local ground that falling ejecta stir up to these ejecta.
+    gardening : Thickness of buried rock that small local craters keep at the surface, in m; assumed.
     seed : Seed of the draws for the prior.
+    id : Take only these rocks of the files, by name or pattern (JB*), in this order. May be repeated.
     """
 
     modes: str | None = None
@@ -357,6 +359,7 @@ class MatchRequest:
     stirring: float = 1.0
     gardening: str = "0.001:0.1"
     seed: int = 0
+    id: tuple[str, ...] = ()
 
 
 PRODUCTS = ("bands", "indices", "fit", "unmix", "match")
@@ -383,13 +386,13 @@ class MapRequest:
     continuum : Continuum of the fit, as `continuum` of `spectra fit`.
     model_error : Model error of ln R; left out: that expected of each spectrum.
     starts : Starting points of a fit.
-    neighbours : Fits start from those of their neighbours, and take theirs where they are lower; without, each pixel is
-        fitted alone, as `spectra fit` does it.
+    neighbours : A fit starts from the fits of neighbouring pixels, and takes their minimum where it is lower. Without,
+        each pixel is fitted alone, as by `spectra fit`.
     contest_every : Every Nth line and sample is fitted from all starting points, the others from their neighbours.
     kind : Kind of target of unmix; auto: found in each pixel.
-    both : Of unmix: mix end members too in every pixel, and write shares by both methods beside those that networks
-        learned (share_olivine_both and so on), as `assemblage` of `spectra unmix` gives them. Name the minerals: where
-        nothing is known of them networks alone are better. Slow: some 20 pixels a second and core.
+    both : With unmix: fit mixtures of end members in every pixel, too. Layers such as share_olivine_both hold the
+        shares by both methods. Name the minerals by `assemblage`: without names, networks alone are better. Slow: some
+        20 pixels a second and core.
     craters : Table of craters of match, as `craters` of `spectra match`.
     single_precision : Write values with 24 bits instead of 53: half the size.
     wavelengths : Table of wavelengths, one a band; columns fwhm and good beside it.

@@ -75,6 +75,12 @@ def named_minerals(assemblage: str) -> list[str]:
     return [mineral for key, mineral in short.items() if key in parts]
 
 
+def _minerals_of(end_members: Sequence[EndMember] | None) -> list[str]:
+    """The weighed minerals of a library; all without one, and where it has none."""
+    there = {one.mineral for one in end_members or ()}
+    return [name for name in WEIGHED if name in there] or list(WEIGHED)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class UnmixedSpectra(Result):
     """Shares of minerals of spectra, or the composition of those that space has weathered.
@@ -199,7 +205,10 @@ def unmix(
     kinds = find_kinds(batch.spectra, None if asked.kind == "auto" else asked.kind)
     if asked.together and not asked.mixes:
         warn("`together` needs the minerals by name (`assemblage`): each spectrum is answered by itself")
-    named = named_minerals(asked.assemblage) if asked.assemblage else list(WEIGHED)
+    named = named_minerals(asked.assemblage) if asked.assemblage else _minerals_of(end_members)
+    if library and len(named) < len(WEIGHED) and not asked.assemblage:
+        absent = ", ".join(name for name in WEIGHED if name not in named)
+        warn(f"{library.name} has no {absent}: the shares are of {', '.join(named)} alone")
     shares = [refused(one.id, "unmix", named, REFUSED) for one in batch.spectra]
     mixed = [index for index, kind in enumerate(kinds) if modes_file or kind.kind != "weathered-soil"]
     unmixed = _shares([batch.spectra[k] for k in mixed], [kinds[k] for k in mixed], named, modes, end_members, asked,
@@ -219,19 +228,17 @@ def unmix(
     )
 
 
-def presence(spectra: Sequence[Spectrum]) -> list[dict[str, float | None]]:
+def presence(spectra: Sequence[Spectrum]) -> list[dict[str, float]]:
     """Of each spectrum the probability of more than 5 % of each mineral, as `unmix` without options gives it.
 
-    None for a weathered soil, which has no shares.
+    Empty of what looks weathered: no such spectrum of known shares was there to test it.
     """
     kinds = find_kinds(spectra)
-    mixed = [index for index, kind in enumerate(kinds) if kind.kind != "weathered-soil"]
-    result: list[dict[str, float | None]] = [dict.fromkeys(WEIGHED) for _ in spectra]
+    mixed = [index for index, kind in enumerate(kinds) if not kind.is_weathered]
     shares = _shares([spectra[k] for k in mixed], [kinds[k] for k in mixed], WEIGHED, StatedModes({}, {}), None,
                      UnmixRequest(), None)  # fmt: skip
-    for index, one in zip(mixed, shares, strict=True):
-        result[index] = {item.mineral: item.present for item in one.fractions}
-    return result
+    there = {k: {item.mineral: item.present for item in one.fractions} for k, one in zip(mixed, shares, strict=True)}
+    return [there.get(index, {}) for index in range(len(spectra))]
 
 
 def _chondrites(

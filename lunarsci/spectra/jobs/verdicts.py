@@ -12,13 +12,13 @@ from typing import Any
 from lunarsci.minerals import WEIGHED
 from lunarsci.names import some_of
 from lunarsci.result import from_prior
-from lunarsci.spectra.abundance.shares import OPEN
+from lunarsci.spectra.abundance.shares import OPEN, SOME
 from lunarsci.spectra.band_status import NARROW_TEXT, centre_text
 from lunarsci.spectra.bands import measure_batch
 from lunarsci.spectra.chemistry.plane import OLIVINE_NM, OPX_MOST_NM, one_pyroxene
 from lunarsci.spectra.mgm import PERCENT_OF, with_trend
-from lunarsci.spectra.mgm.assemblages import SURE, chances
-from lunarsci.spectra.mgm.result import UNLIKE_RMS
+from lunarsci.spectra.mgm.assemblages import SURE, chances, others_of
+from lunarsci.spectra.mgm.result import UNLIKE_RMS, in_doubt
 from lunarsci.spectra.mgm.selection import Choice
 from lunarsci.spectra.spectrum import Spectrum
 
@@ -131,7 +131,8 @@ def fit_verdict(record: Mapping[str, Any]) -> str:
     determined = _determined(record)
     compositions = [f"{PERCENT_OF[key]} {_composition(item)} mol %{_condition(item)}" for key, item in determined]
     sure = record["status"] == "converged" and bool(record["choice"] and record["choice"]["strong"])
-    parts += [f"{'' if sure else 'if so, '}{', '.join(compositions)}"] if compositions else ["no composition is told"]
+    if_so = "" if sure else "if the fit is right, "
+    parts += [f"{if_so}{', '.join(compositions)}"] if compositions else ["no composition is determined"]
     return "; ".join(parts)
 
 
@@ -147,7 +148,7 @@ def fits_counted(records: Sequence[Mapping[str, Any]]) -> list[str]:
             compared, unsure = compared + 1, unsure + (not choice["sure"])
             for key, counts in minerals.items():
                 counts.update(choice[key])
-    words = {"sure": "sure", "open": "open", "not_needed": "not needed to fit, but not ruled out"}
+    words = {"sure": "sure", "open": "open", "not_needed": "probably absent, or not needed to fit"}
     parts = [
         f"{words[key]}, of {compared} spectra: {', '.join(f'{name} in {n}' for name, n in counts.most_common())}"
         for key, counts in minerals.items()
@@ -181,18 +182,22 @@ def fit_doubt(record: Mapping[str, Any]) -> str:
 
 def _strained(record: Mapping[str, Any]) -> list[str]:
     """That the fit is in doubt, where it is."""
-    status = str(record["status"])
-    return [] if status == "converged" else [f"in doubt, {status.partition('; ')[2] or status}"]
+    return list(filter(None, [in_doubt(str(record["status"]))]))
 
 
 def _determined(record: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
-    """Compositions in range that the spectrum, and not the prior alone, tells, of minerals that are not in doubt."""
-    doubtful = [] if record["choice"] else [mineral for result in _by_bands(record)[1:] for mineral in result]
+    """Compositions in range that the spectrum, and not the prior alone, tells, of minerals that are not in doubt.
+
+    A pyroxene that was fitted alone has none where the other one is sure.
+    """
+    choice = record["choice"] or {}
+    doubtful = [] if choice else [mineral for result in _by_bands(record)[1:] for mineral in result]
+    besides = [mineral for name in choice.get("sure", ()) for mineral in others_of(name)]
     return [
         (key, item)
         for key, item in record["compositions"].items()
         if item["mean"] is not None and item["in_range"] and not from_prior(item["sigma"], item["prior_sigma"])
-        if not any(PERCENT_OF[key].endswith(mineral) for mineral in doubtful)
+        if not any(PERCENT_OF[key].endswith(mineral) for mineral in (*doubtful, *(besides if item["domain"] else ())))
     ]
 
 
@@ -233,6 +238,8 @@ def shares_verdict(record: Mapping[str, Any]) -> str:
     likely = _likely(shares)
     parts = [f"{'' if shares['in_domain'] else 'uncertain; quote the 95 % intervals alone: '}{values}"]
     parts += [f"likely there: {', '.join(likely)}"] if likely else []
+    reached = [name for name in WEIGHED if name in shares and name not in likely and shares[name]["high95"] > SOME]
+    parts += [f"not excluded: {', '.join(reached)}"] if reached else []
     ratios = [f"{name.replace('_', ' ')} {_percent(item)}" for name, item in shares["ratios"].items()]
     return "; ".join(parts + ([f"ratios: {', '.join(ratios)}"] if ratios else []))
 
@@ -249,7 +256,7 @@ def shares_counted(records: Sequence[Mapping[str, Any]]) -> list[str]:
     soils = sum(record["kind"]["name"] == "weathered-soil" for record in records)
     inside = sum(record["abundance"]["in_domain"] for record in records)
     there = Counter(name for record in records for name in _likely(record["abundance"]))
-    parts = [f"shares likely within 15 %: {inside} of {total} spectra; of the others quote the 95 % intervals"]
+    parts = [f"in domain: {inside} of {total} spectra; of the others quote the 95 % intervals alone"]
     parts += [f"likely there: {', '.join(f'{name} in {n}' for name, n in there.most_common())}"] if there else []
     return parts + ([f"weathered soils, not unmixed: {soils} of {total} spectra"] if soils else [])
 

@@ -274,7 +274,7 @@ class FitBatch:
         names = [band.name for band, off in zip(self.model.assemblage.bands, far[len(items) :], strict=True) if off]
         lie = "lies" if len(names) == 1 else "lie"
         strains = [f"{', '.join(names)} {lie} far from where such bands are usual"] if names else []
-        strains += [f"centres beyond those of any {', '.join(minerals)}: is it there?"] if minerals else []
+        strains += [f"centres beyond those of any {', '.join(minerals)}: bands of another mineral?"] if minerals else []
         strains += ["NBSR at 1 and 2 µm contradict each other: is a mineral missing?"] if differ else []
         remarks += [f"strained: {'; '.join(strains)}"] if strains else []
         return "; ".join(remarks)

@@ -1,5 +1,6 @@
 """Pictures of measured bands, of Modified Gaussian Model fits, several spectra to a page, and of indices."""
 
+import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -9,7 +10,7 @@ from lunarsci.figure import BLUE, GREEN, PAGE_IN, PINK, VERMILION, as_label, hea
 from lunarsci.spectra.band_status import BANDS, with_errors
 from lunarsci.spectra.bands import SpectrumBands
 from lunarsci.spectra.indices import INDICES, OK, IndexColumn
-from lunarsci.spectra.mgm.result import MgmFit
+from lunarsci.spectra.mgm.result import MgmFit, in_doubt
 from lunarsci.spectra.spectrum import Spectrum
 
 if TYPE_CHECKING:
@@ -20,8 +21,8 @@ CONTINUUM_LOOKS = {
     "hull": {"color": VERMILION, "linestyle": "-."},
     "linear": {"color": GREEN, "linestyle": ":"},
 }
-PER_PAGE, LONGEST = 6, 38
-"""Spectra of a page, and letters of a name that fit above a panel."""
+PER_PAGE, LONGEST, DOUBT_WIDTH = 6, 38, 52
+"""Spectra of a page; letters of a name, and of a line about a doubt, that fit above a panel."""
 INVISIBLE = 0.002
 """A band shallower than this in ln R is not drawn, so that the continuum stays visible."""
 COLORS = {
@@ -158,7 +159,9 @@ def _fit_title(fit: MgmFit, *, weak: bool) -> str:
     ratio = fit.nbsr.get("um2")
     strength = f"\nNBSR at 2 µm {ratio.opx:.2f} ± {ratio.sigma:.2f}" if ratio else ""
     minerals = f"{fit.model.assemblage.name}{' (weak evidence)' if weak else ''}"
-    return f"{as_label(fit.id, LONGEST)}\n{as_label(minerals, LONGEST)}, rms {100 * fit.rms_ln:.2f} %{strength}"
+    lines = textwrap.wrap(in_doubt(fit.status), DOUBT_WIDTH)
+    title = f"{as_label(fit.id, LONGEST)}\n{as_label(minerals, LONGEST)}, rms {100 * fit.rms_ln:.2f} %{strength}"
+    return "\n".join([title, *(as_label(line, DOUBT_WIDTH) for line in lines)])
 
 
 def index_pages(spectra: Sequence[Spectrum], columns: Mapping[str, IndexColumn]) -> "Iterator[Figure]":

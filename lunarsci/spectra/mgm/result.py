@@ -24,6 +24,15 @@ ERROR_COVERS = ("noise", "model error", "prior")
 """What standard errors hold where the prior is part of the objective."""
 
 
+def in_doubt(status: str) -> str:
+    """That a fit of a status is in doubt, and why; '' where it is not.
+
+    >>> in_doubt("converged; strained: NBSR at 1 and 2 µm contradict each other"), in_doubt("converged")
+    ('the fit is in doubt, strained: NBSR at 1 and 2 µm contradict each other', '')
+    """
+    return "" if status == "converged" else f"the fit is in doubt, {status.partition('; ')[2] or status}"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FittedBand:
     """One band of a fit.

@@ -6,7 +6,7 @@ assemblage is Laplace's approximation of the logarithm of the evidence (`Evidenc
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from lunarsci.arrays import BoolArray, FloatArray
 from lunarsci.errors import DataError, ParameterError
+from lunarsci.minerals import WEIGHED
 from lunarsci.names import some_of
 from lunarsci.parallel.blocks import arrays_in_blocks, saved_rows
 from lunarsci.spectra.collection import SpectrumCollection
@@ -218,6 +219,7 @@ class Choice:
     strong : whether the family has four members or fewer, and a mineral that is in all of them.
     beyond : minerals whose centres, in the fit that was chosen, are those of no composition.
     cause : what else than a pyroxene the 2 um band may be of (`other_cause`), '' for nothing. beside : what lies in it.
+    present : probability of more than 5 % of each mineral as `unmix` gives it; empty where it is untested. [-]
     """
 
     id: str
@@ -230,11 +232,12 @@ class Choice:
     beyond: tuple[str, ...] = ()
     cause: str = ""
     beside: str = ""
+    present: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def status(self) -> str:
         """The verdict, which minerals are sure and which are open: what the result says of the spectrum."""
-        verdict_text = verdict(self.probabilities, self.beyond, self.cause)
+        verdict_text = verdict(self.probabilities, self.present, self.beyond, self.cause)
         return f"{verdict_text}; in the 2 µm band {self.beside}" if self.beside else verdict_text
 
     @property
@@ -258,8 +261,9 @@ class Choice:
         rows = [{name: getattr(candidate, name) for name in columns} for candidate in self.candidates]
         names = ("id", "assemblage", "margin", "margin_ln_evidence", "margin_bic", "strong", "status")
         groups = {name: chance for name, chance in chances(self.probabilities).items() if name in GROUPS}
-        chances_of = {"mineral_probability": self.minerals, "group_probability": groups}
-        more = chances_of | standing(self.probabilities, self.beyond, self.cause)
+        present = {name: self.present.get(name) for name in WEIGHED}
+        chances_of = {"mineral_probability": self.minerals, "group_probability": groups, "present": present}
+        more = chances_of | standing(self.probabilities, self.present, self.beyond, self.cause)
         return {name: getattr(self, name) for name in names} | {"candidates": rows, "family": list(self.family)} | more
 
 

@@ -191,7 +191,7 @@ def _from_shares(abundance: Mapping[str, Any], kind: str, name: str) -> Rock:
     given = {mineral: abundance.get(mineral) or {} for mineral in WITH_BANDS}
     modes = {mineral: _interval(item) for mineral, item in given.items() if item.get("low") is not None}
     determined = [mineral for mineral in modes if given[mineral].get("fraction") is not None]
-    remarks: list[str] = ["its shares are those of the first method (`abundance` in JSON)"]
+    remarks: list[str] = ["its shares are those of `abundance` in the JSON of `spectra unmix` or `spectra fit`"]
     tables: tuple[str, ...] = ()
     if modes and not determined:
         return _unknown(name, f"its shares decide nothing: {abundance.get('status', 'not determined')}")
@@ -201,7 +201,7 @@ def _from_shares(abundance: Mapping[str, Any], kind: str, name: str) -> Rock:
         remarks.append(f"not determined, known by their intervals alone: {', '.join(wide)}")
     untested = abundance.get("in_domain") is False
     if untested:
-        remarks.append("its abundances are outside the domain of their method")
+        remarks.append("its shares are out of domain")
         if measured_errors(kind):
             modes, text = widened(modes, kind)
             remarks, tables = [*remarks, text], (ERRORS,)

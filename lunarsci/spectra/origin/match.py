@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from math import factorial, pi, sqrt
+from math import exp, factorial, pi, sqrt
 from typing import Any, overload
 
 import numpy as np
@@ -68,7 +68,7 @@ class CompositionEvidence:
     def basis(self) -> str:
         """What was compared, in words."""
         compared = [*(["modes " + "+".join(self.minerals)] if self.minerals else []), *self.bands]
-        return ", ".join(compared) if compared else "nothing that both have, any composition"
+        return ", ".join(compared) if compared else "nothing: no mineral or band is known of both"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -624,19 +624,25 @@ def _status(rock: Rock, matches: Sequence[CraterMatch], other: float, decided: b
         if inside := _fitting_inside(matches, left[0][0]):
             return f"{remain}; composition goes as well with {inside}, in which the site lies: it may be of its floor"
         return f"{remain} by the prior; composition adds less than 20 : 1 for it"
-    factors = {item.crater.name: item.ln_bayes_factor for item in matches if not item.contains_site}
-    spread, favoured = max(factors.values()) - min(factors.values()), max(factors, key=lambda name: factors[name])
-    if spread < DECIDES:
-        return f"{remain}; composition hardly decides, the prior does (ln Bayes factors differ by {spread:.1f})"
-    if factors[favoured] > 0:
-        strongly = (
-            f"the composition strongly favours {favoured} (ln Bayes factors of the craters differ by {spread:.1f})"
-        )
-    else:
-        against = min(factors, key=lambda name: factors[name])
-        strongly = f"the composition speaks strongly against {against} (ln Bayes factor {factors[against]:.1f})"
     untested = "; do not rely on it: the method was not tested on rocks like this one, so its shares may be wrong"
-    return f"{remain}; {strongly}{untested if rock.untested else ''}"
+    return f"{remain}; {_by_composition(matches)}{untested if rock.untested else ''}"
+
+
+def _by_composition(matches: Sequence[CraterMatch]) -> str:
+    """For and against which craters composition speaks, and what that does to their places; the others are left."""
+    there = [item for item in matches if item.prior.probability > 0]
+    places = [sorted(there, key=key) for key in (lambda one: -one.prior.probability, lambda one: -one.posterior)]
+    compared = [item for item in there if item.evidence.minerals or item.evidence.bands]
+    parts = []
+    for item in sorted(compared, key=lambda one: -abs(one.ln_bayes_factor)):
+        before, now = (order.index(item) + 1 for order in places)
+        moved = f"place {before} by the prior, {now} with it" if before != now else f"place {now} as by the prior"
+        value = item.ln_bayes_factor
+        side = f"{'strongly ' * (abs(value) >= DECIDES)}{'for' if value > 0 else 'against'}"
+        odds = f"{exp(value):.2g} : 1" if value > 0 else f"1 : {exp(-value):.2g}"
+        parts.append(f"{side} {item.crater.name} (odds {odds}, {moved})")
+    rest = "; the others stand as by the prior: nothing of theirs can be compared" if len(compared) < len(there) else ""
+    return f"composition speaks {some_of(parts, NAMED)}{rest}"
 
 
 def assumptions(
@@ -677,9 +683,9 @@ def _craters_notes(items: Sequence[CraterMatch], settings: MatchSettings) -> lis
     both = [i.crater.name for i in items if i.evidence.minerals and i.evidence.bands]
     lines = []
     if unknown:
-        lines.append(f"composition unknown, any is as likely, ln BF 0 (neither for nor against): {', '.join(unknown)}")
+        lines.append(f"composition unknown, so that ln BF is 0, neither for nor against: {', '.join(unknown)}")
     if inside:
-        lines.append(f"contain the site, so that no ejecta of theirs lie there; left out: {', '.join(inside)}")
+        lines.append(f"contain the site, where they left no ejecta, and are left out: {', '.join(inside)}")
     if both:
         lines.append(
             "modes and bands are counted as independent, which from one spectrum they are not (--use): "
@@ -698,8 +704,8 @@ def _prior_notes(site: Point, settings: MatchSettings, items: Sequence[CraterMat
     ]
     if prior.exposure:
         lines.append(
-            f"half of the 2 m boulders gone in {_shown(prior.rock_life_ma)} Ma (Basilevsky et al. 2013); rock of "
-            f"{prior.rock_size_m:g} m, life with size^{prior.life_exponent:g} (assumed)"
+            f"half of all boulders of 2 m are destroyed in {_shown(prior.rock_life_ma)} Ma (Basilevsky et al. 2013); "
+            f"rock of {prior.rock_size_m:g} m, life with size^{prior.life_exponent:g} (assumed)"
         )
     else:
         lines.append("rocks last for ever (--no-exposure)")

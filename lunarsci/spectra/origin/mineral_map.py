@@ -83,12 +83,16 @@ def _check_request(maps: Mapping[str, str], annulus: tuple[float, float]) -> Non
 
 def minerals_of(file: str) -> list[str]:
     """Minerals whose shares are layers of a file that `spectra map` wrote. Raises DataError for another file."""
-    if start_of(file).startswith(HDF):
-        names = [str(name) for name in netcdf(file).data_vars]
-    else:
-        with opened(file, "GTiff") as dataset:
-            names = [name or "" for name in dataset.descriptions]
+    names = layers_of(file)
     return [mineral for mineral in WITH_BANDS if LAYER.format(mineral) in names]
+
+
+def layers_of(file: str) -> list[str]:
+    """Names of the layers of a NetCDF file or a GeoTIFF, '' for none. Raises DataError for another file."""
+    if start_of(file).startswith(HDF):
+        return [str(name) for name in netcdf(file).data_vars]
+    with opened(file, "GTiff") as dataset:
+        return [name or "" for name in dataset.descriptions]
 
 
 @contextmanager

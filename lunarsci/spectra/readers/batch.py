@@ -141,13 +141,17 @@ def read_batch(
 
 def _those(batch: SpectraBatch, only: Sequence[str]) -> SpectraBatch:
     """The spectra of some names or patterns, in the order of these."""
-    ids = batch.spectra.ids
+    places = places_of(batch.spectra.ids, only)
+    return replace(batch, spectra=batch.spectra.taken(np.array(places)), origins=[batch.origins[k] for k in places])
+
+
+def places_of(ids: Sequence[str], only: Sequence[str]) -> list[int]:
+    """Places of what some names or patterns name, in their order. Raises DataError for a name that nothing has."""
     each = {name: [k for k, one in enumerate(ids) if one == name or fnmatchcase(one, name)] for name in only}
     if missing := next((name for name, rows in each.items() if not rows), None):
         result = some_of(ids, NAMED)
         raise DataError(f"no spectrum is called '{missing}'; {meant(missing, ids)}there are {len(ids)}: {result}")
-    places = np.array(list(dict.fromkeys(chain.from_iterable(each.values()))))
-    return replace(batch, spectra=batch.spectra.taken(places), origins=[batch.origins[k] for k in places])
+    return list(dict.fromkeys(chain.from_iterable(each.values())))
 
 
 def _listed(source: Any) -> list[Any]:

@@ -72,7 +72,7 @@ def test_a_soil_that_is_named_is_not_called_undecided() -> None:
         kind = replace(find_kind(black), kind="weathered-soil" if soil > 0.8 else NOT_DETERMINED, outlier=False)
         kind = replace(kind, probabilities=dict.fromkeys(KINDS, 0.0) | {"weathered-soil": soil, "solid-rock": 1 - soil})
         found = normative(black, kind)
-        undecided = "not determined: rather a solid rock than a soil, as far as is known: state the kind"
+        undecided = "not determined: it looks more like a solid rock than like a soil; state the kind"
         assert (found.status == undecided) == (soil < 0.5) and (found.values == {}) == (soil < 0.5)
 
 

@@ -14,6 +14,7 @@ from lunarsci.cli import main
 
 import lunarsci
 from lunarsci.errors import DataError, OutputError, ParameterError, RequestError
+from lunarsci.guide.info import info
 from lunarsci.pages.answers import answer
 from lunarsci.pages.documents import Document
 from lunarsci.spectra.jobs.bands import bands
@@ -347,6 +348,29 @@ def test_a_quick_look_has_a_scale_kilometres_and_north(tmp_path: Path) -> None:
     assert arrow.xy[0] == pytest.approx(arrow.xyann[0])
     assert arrow.xy[1] > arrow.xyann[1]
     assert any("bc1000_nm" in one.get_title() for one in page.axes)
+
+
+def test_info_tells_a_map_from_a_cube(envi: Any, tmp_path: Path) -> None:
+    cube, command = envi(CUBE), "lunarsci spectra match --mineral-map"
+    whole = info(cube.with_suffix(".hdr")).contents
+    assert (whole["lines"], whole["samples"], whole["bands"]) == CUBE.shape
+    for products, name, commands in (("unmix", "a.nc", [command]), ("indices", "b.tif", [])):
+        map_cube(str(cube), tmp_path / name, products=products, kind="powder-mixture")
+        told = info(tmp_path / name)
+        assert (told.kind, told.commands) == ("map", commands)
+
+
+def test_shares_are_drawn_first_on_one_scale_and_hatched_out_of_domain() -> None:
+    made = map_cube((WAVELENGTHS, CUBE), products="bands,unmix", kind="powder-mixture")
+    outside = made.codes["shares_in_domain"]["out_of_domain"]
+    page = made.plot()
+    panels = [one for one in page.axes if one.get_title().startswith("share_")]
+    assert outside and f"hatched: out of domain, {outside} of 30 pixels" in " ".join(page.get_suptitle().split())
+    assert len(panels) == 8 and panels[0] is page.axes[1] and "95 %" in panels[1].get_title()
+    assert {one.get_images()[0].get_clim() for one in panels} == {(0.0, 1.0)}
+    assert {len(one.get_images()) for one in panels} == {2}
+    width = made.layers()["share_olivine_high95"][1] - made.layers()["share_olivine_low95"][1]
+    np.testing.assert_allclose(panels[1].get_images()[0].get_array(), width)
 
 
 pytest.importorskip("rasterio")

@@ -167,7 +167,7 @@ def test_abundances_come_before_ratios() -> None:
     [rock] = read_result("fit", {"id": "a", "nbsr": {"um2": ratio}, "abundance": abundance})
     assert rock.composition.modes["olivine"] == pytest.approx((0.1, 0.075))
     assert set(rock.composition.modes) == set(modes)
-    assert "outside the domain" in " ".join(rock.remarks)
+    assert "out of domain" in " ".join(rock.remarks)
 
 
 def test_band_centres_with_all_their_errors() -> None:

@@ -193,10 +193,11 @@ def test_the_papers_rock_is_not_decided_by_composition() -> None:
     match = matched()
     craters = by_name(match)
     assert craters["Zhinyu"].ln_bayes_factor == 0
-    assert craters["Zhinyu"].evidence.basis.startswith("nothing that both have")
+    assert craters["Zhinyu"].evidence.basis.startswith("nothing: no mineral")
     assert 0 < craters["Finsen"].ln_bayes_factor < 2
     assert craters["Finsen"].evidence.minerals == ("olivine", "orthopyroxene", "clinopyroxene")
-    assert "the prior does" in match.status
+    assert "composition speaks for Finsen (odds 2" in match.status
+    assert "as by the prior); the others stand as by the prior: nothing of theirs can be compared" in match.status
 
 
 def test_composition_from_shares_that_are_not_to_be_quoted_says_so() -> None:
@@ -205,7 +206,7 @@ def test_composition_from_shares_that_are_not_to_be_quoted_says_so() -> None:
     )
     craters = with_modes("Zhinyu", dict(rock.composition.modes))
     tested, untested = matched(rock, craters), matched(replace(rock, untested=True), craters)
-    assert tested.status.partition("; ")[2].startswith("the composition strongly favours ")
+    assert tested.status.partition("; ")[2].startswith("composition speaks for Zhinyu (odds 1")
     assert "not tested" not in tested.status
     assert "do not rely on it: the method was not tested on rocks like this one" in untested.status
     assert not untested.decided
@@ -217,7 +218,7 @@ def test_a_crater_of_unknown_composition_is_not_favoured_where_others_are_disfav
         "rock", Composition({"olivine": (0.01, 0.02), "orthopyroxene": (0.01, 0.02), "clinopyroxene": (0.98, 0.02)})
     )
     status = matched(rock).status
-    assert "speaks strongly against Finsen" in status and "favours" not in status
+    assert "speaks strongly against Finsen" in status and "place 1 by the prior, " in status
 
 
 def test_the_papers_conclusion_hangs_on_what_is_assumed_of_re_excavation() -> None:
@@ -443,7 +444,7 @@ def test_units_of_the_modes_do_not_matter_only_shares_do() -> None:
 def test_an_unknown_composition_says_neither_for_nor_against_and_says_so() -> None:
     found = compared(Composition(ROCK), Composition(), systematic=0.1, band_systematic_nm=10)
     assert (found.ln_modes, found.ln_bands, found.ln_total) == (None, None, 0.0)
-    assert "nothing that both have" in found.basis
+    assert "nothing: no mineral" in found.basis
 
 
 def test_one_mineral_in_common_is_not_compared() -> None:
