@@ -6,8 +6,8 @@ COMMANDS = re.compile(r"[\x00-\x08\x0a-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2
 """Control characters but tabs (ISO 6429), and those that turn the direction of text (Unicode 15, Bidi_Control)."""
 FORMULA = re.compile(r"[=+\-@\t](?![\d.\s]*$)(?![\d.]+(e[+-]?\d+)?$)", re.IGNORECASE)
 """What a spreadsheet runs when a cell begins with it (OWASP, CSV Injection), and no number."""
-LONGEST = 300
-"""Characters of a message; assumed to be what a line of a log takes."""
+LONGEST = 600
+"""Characters of a message; assumed: a few lines of a terminal."""
 
 
 def printable(text: str) -> str:

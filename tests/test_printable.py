@@ -94,4 +94,4 @@ def test_documents_are_what_their_parsers_say() -> None:
 def test_what_to_do_is_not_cut_in_its_middle() -> None:
     """Whole parts between semicolons stay at the end, as many as fit into half of the line."""
     do = "; steered_W_deg is 0 for wheels that stay straight; `lunarsci template telemetry` has all"
-    assert shortened(f"log.csv: columns are missing: {'name, ' * 60}of each wheel{do}").endswith(f" …{do}")
+    assert shortened(f"log.csv: columns are missing: {'name, ' * 120}of each wheel{do}").endswith(f" …{do}")

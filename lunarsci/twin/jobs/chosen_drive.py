@@ -288,12 +288,14 @@ class ChosenDrive(TerrainSurvey):
     def what_next(self) -> str:
         """What may help where no drive keeps the risk, by what is broken."""
         soil = {"slip_ratio", "side_slip_deg", "sinkage_m", "unfinished", "motor_torque_nm", "motor_load"}
-        broken = {one.quantity for one in self.choice.best.broken}
+        best = self.choice.best
+        broken = {one.quantity for one in best.broken}
         help_for = {
             "another target, or ground that is less steep or less soft": soil | {"tilt_deg", "clearance_m"},
             f"{self.scouting}, from which `twin update` learns the soil": soil | {"endpoint_miss_m"},
             "--fixes, a nearer target or a wider --tolerance": {"endpoint_miss_m", "keep_out_m"},
             "more charge or Sun": {"battery_charge"},
+            "--limits FILE, as its limits are assumed": {one.quantity for one in best.plan.limits if one.assumed},
         }
         advice = "; ".join(what for what, quantities in help_for.items() if quantities & broken)
         if any(one.plan.fixes for one in self.choice.candidates):
@@ -356,10 +358,12 @@ class ChosenDrive(TerrainSurvey):
         """What there is to say about ground and soils."""
         kind = self.soils.kind
         ranges = "shares of the ranges, not probabilities, " if kind == "sweep" else ""
+        assumed = [one.quantity for one in self.choice.best.plan.limits if one.assumed]
         fresh = f"{self.fresh_members} fresh ones" if self.choice.fresh else "the same ones: there are no others"
         return [
             *([self.few] if self.few else []),
             *TerrainSurvey.notes(self),
+            *([f"assumed limits of the drives: {', '.join(assumed)}"] if assumed else []),
             f"risks are {ranges}counted on {self.members} soils, those of the best drives on {fresh}; the bounds "
             "include the number of drives alone, and no error of soil, ground or physics beyond what is drawn",
         ]

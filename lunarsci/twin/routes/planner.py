@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+Place: TypeAlias = Sequence[float] | FloatArray
+"""x and y in m, and what may follow."""
 ARRIVAL_M = 0.01
 """A path ends at least this near to its target, as the search reckons it; assumed. [m]"""
 MARGIN_SHARE, MARGIN_M, FAR_MARGIN_M = 0.5, 3.0, 50.0
@@ -145,7 +147,7 @@ class RouteSearch:
         footprint = rover_footprint(rover)
         check_place(surface, "start", start, footprint.reach_m)
         place = (*target, 0.0 if final_heading_deg is None else final_heading_deg)
-        check_place(surface, "target", place, footprint.reach_m)
+        check_place(surface, "target", place, footprint.reach_m, start)
         distance = math.dist(start[:2], target)
         if distance < ARRIVAL_M:
             raise ParameterError("the target is where the rover stands; give another target")
@@ -217,7 +219,7 @@ class RouteSearch:
             )
 
     def _instead(self, name: str, pose: FloatArray) -> str:
-        return instead(self.surface, name, (float(pose[0]), float(pose[1])), self.footprint.reach_m)
+        return instead(self.surface, name, pose, self.footprint.reach_m, None if name == "start" else self.start)
 
 
 def search_margin_m(footprint: RoverFootprint, distance_m: float) -> float:
@@ -322,33 +324,48 @@ def path_table(path: PlannedPath, surface: Traversability, every_m: float = 0.1)
     )
 
 
-def nearest_room(surface: Traversability, place: tuple[float, float], reach_m: float) -> tuple[float, float] | None:
-    """The place next to another where a rover that reaches so far may stand, whatever its heading; None for none."""
-    from scipy.ndimage import distance_transform_edt
+def nearest_room(
+    surface: Traversability, place: Place, reach_m: float, start: Place | None = None
+) -> tuple[float, float] | None:
+    """The place next to another where a rover that reaches so far may stand, whatever its heading; None for none.
+
+    Such places hang together with the one next to `start`, if that is given.
+    """
+    from scipy.ndimage import distance_transform_edt, label
 
     terrain = surface.terrain
     closed = np.pad(surface.hazard | surface.unknown, 1, constant_values=True)
     room = distance_transform_edt(~closed)[1:-1, 1:-1] * terrain.spacing_m
     # A path is looked for between nodes: what is closed reaches half a spacing further, and so does the rover.
-    rows, columns = np.nonzero(room > reach_m + surface.mobility.hazard_distance_m + terrain.spacing_m)
-    if not rows.size:
+    wide = room > reach_m + surface.mobility.hazard_distance_m + terrain.spacing_m
+    if not wide.any():
         return None
-    x, y = terrain.x_m[columns], terrain.y_m[rows]
-    nearest = np.hypot(x - place[0], y - place[1]).argmin()
-    return float(x[nearest]), float(y[nearest])
+
+    def nearest(place: Place, among: BoolArray) -> tuple[int, int]:
+        rows, columns = np.nonzero(among)
+        number = np.hypot(terrain.x_m[columns] - place[0], terrain.y_m[rows] - place[1]).argmin()
+        return int(rows[number]), int(columns[number])
+
+    if start is not None:
+        parts = label(wide, np.ones((3, 3)))[0]
+        wide = parts == parts[nearest(start, wide)]
+    row, column = nearest(place, wide)
+    return float(terrain.x_m[column]), float(terrain.y_m[row])
 
 
-def instead(surface: Traversability, name: str, place: tuple[float, float], reach_m: float) -> str:
-    """What to give in place of a start or target for a rover that reaches so far."""
-    near = nearest_room(surface, place, reach_m)
+def instead(surface: Traversability, name: str, place: Place, reach_m: float, start: Place | None = None) -> str:
+    """What to give in place of a start, or of a target from a start, for a rover that reaches so far."""
+    near = nearest_room(surface, place, reach_m, start)
     return f"give another `{name}`" + (
         "" if near is None else f", the nearest with room being {near[0]:.6g},{near[1]:.6g}"
     )
 
 
-def check_place(surface: Traversability, name: str, place: Sequence[float], reach_m: float = 0.0) -> None:
+def check_place(
+    surface: Traversability, name: str, place: Place, reach_m: float = 0.0, start: Place | None = None
+) -> None:
     """Raises ParameterError for what is no place for a rover: outside the map, or with the reason and the nearest place
-    for one that reaches so far.
+    for one that reaches so far, from `start` on if it is given.
     """
     if not all(map(math.isfinite, place)):
         raise ParameterError(f"the {name} is {place}; give finite numbers")
@@ -358,7 +375,7 @@ def check_place(surface: Traversability, name: str, place: Sequence[float], reac
         raise ParameterError(
             f"the {name} x {x:g} m, y {y:g} m lies outside the map, which goes from x {terrain.x_m[0]:g} to "
             f"{terrain.x_m[-1]:g} m and from y {terrain.y_m[0]:g} to {terrain.y_m[-1]:g} m{of}; "
-            f"{instead(surface, name, (x, y), reach_m)}"
+            f"{instead(surface, name, place, reach_m, start)}"
         )
     row, column = map(int, terrain.nodes(np.array([x, y])))
     if reason := surface.reason(row, column):
@@ -367,7 +384,8 @@ def check_place(surface: Traversability, name: str, place: Sequence[float], reac
         other = f"a limit that lets it {'leave' if name == 'start' else 'come'}{limit}"
         other = "heights that reach there" if surface.unknown[row, column] else other
         raise ParameterError(
-            f"the rover cannot be at the {name}: {reason}; {instead(surface, name, (x, y), reach_m)}; or give {other}"
+            f"the rover cannot be at the {name}: {reason}; {instead(surface, name, place, reach_m, start)}; "
+            f"or give {other}"
         )
 
 

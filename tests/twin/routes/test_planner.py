@@ -1,6 +1,7 @@
 """Paths planned on made-up obstacles: where they end, what they pass, and why there is none."""
 
 import math
+import re
 import tomllib
 from pathlib import Path
 from types import SimpleNamespace
@@ -233,6 +234,17 @@ def test_the_start_that_an_error_names_is_one(start: tuple[float, float, float])
         plan_path(surface, YUTU2, start, target)
     x, y = (float(part) for part in str(caught.value).split("room being ")[1].split(" ")[0].rstrip(",;").split(","))
     assert plan_path(surface, YUTU2, (x, y, start[2]), target).plan.length_m > 1.0
+
+
+def test_the_target_that_an_error_names_can_be_reached() -> None:
+    """Behind a wall there is more room, and nearer to a target on a rock there; the rover comes as far as the wall."""
+    height = wall()
+    height[np.ix_(np.abs(Y) < 0.3, np.abs(X - 9.0) < 0.3)] = 1.0
+    with pytest.raises(ParameterError, match="another `target`, the nearest with room being") as caught:
+        plan_path(seen(height), YUTU2, START, (9.0, 0.0))
+    x, y = (float(part) for part in re.findall(r"-?\d+\.?\d*", str(caught.value).split("room being ")[1])[:2])
+    assert 2.0 < x < 5.0
+    assert plan_path(seen(height), YUTU2, START, (x, y)).plan.length_m > 1.0
 
 
 def test_the_passage_of_the_stand_in_is_found() -> None:
