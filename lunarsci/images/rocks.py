@@ -136,22 +136,36 @@ def find_rocks(
     doubt, threshold = _false_rate(upright.scores, embedded_network().ratio, false_share)
     sure = np.flatnonzero(upright.scores >= threshold)
     chances = 1.0 - doubt(upright.scores[sure])
-    bumps = _bumps(scene, largest_m, upright.only(sure), threshold)
+    pits = _pits(scene, largest_m, upright.only(sure), threshold)
+    chances = _with_false_share(chances, _share_of_bumps(pits, len(sure)))
     detected = np.zeros(len(put), dtype=bool)
     detected[chosen >= 0] = again.scores >= threshold
     measures = _Measures.learned(scene, put[chosen >= 0], again)
     return RockSurvey(
         rocks=tuple(measures.rocks(upright.only(sure), chances, pose, matches.rectified.turn)),
         threshold=float(chances.min(initial=1.0)),
-        false_share=max(float(1.0 - chances.mean()), min(bumps / len(sure), 1.0)) if len(sure) else 0.0,
+        false_share=float(1.0 - chances.mean()) if len(sure) else 0.0,
         completeness=tuple(_completeness(scene, put, detected, sizes_m)),
         searched_m2=_area_m2(scene),
         sun_deg=sun_deg,
     )
 
 
-def _bumps(scene: StonePair, largest_m: float, rocks: RockCandidates, threshold: float) -> int:
-    """How many bumps of the ground alone look like rocks: as many as pits do, seen as bumps under a reversed Sun.
+def _share_of_bumps(pits: int, finds: int) -> float:
+    """Expected share of finds that are bumps of the ground, where so many pits look as much like rocks. [-]
+
+    Both are counts of one rate, whose prior is that of Jeffreys (1961, Theory of Probability, ISBN 978-0-19-850368-2);
+    no number of rocks among the finds is likelier than another beforehand.
+    """
+    from scipy.special import gammaln
+
+    bumps = np.arange(finds + 1)
+    ln_weight = gammaln(bumps + pits + 0.5) - gammaln(bumps + 1) - bumps * math.log(2.0)
+    return float(np.average(bumps, weights=np.exp(ln_weight - ln_weight.max()))) / max(finds, 1)
+
+
+def _pits(scene: StonePair, largest_m: float, rocks: RockCandidates, threshold: float) -> int:
+    """How many pits of the ground look like rocks, seen as bumps under a reversed Sun; bumps do as often.
 
     Ground that rises as it falls makes as many of either, and rocks make none away from themselves (competition with
     decoys: Elias & Gygi 2007, 10.1038/nmeth1019).
@@ -163,6 +177,23 @@ def _bumps(scene: StonePair, largest_m: float, rocks: RockCandidates, threshold:
     apart = np.linalg.norm(places[:, None, :2] - rocks.places[None, :, :2], axis=-1)
     near = apart <= np.maximum(places[:, None, 2], rocks.places[None, :, 2])
     return int((~near.any(axis=1)).sum())
+
+
+def _with_false_share(chances: FloatArray, share: float) -> FloatArray:
+    """Probabilities of which `share` are false, where more are than they say: the odds of all less by one factor. (n,)
+
+    What the ground makes here is odds beforehand, which differ from those of the scenes that taught the network.
+    """
+    from scipy.optimize import brentq
+    from scipy.special import expit, logit
+
+    if not len(chances) or share <= 1.0 - chances.mean():
+        return chances
+    least = float(np.finfo(float).eps)
+    ln_odds = logit(np.clip(chances, least, 1.0 - least))
+    most = ln_odds.max() - logit(least)
+    less = brentq(lambda less: float(1.0 - expit(ln_odds - less).mean()) - min(share, 1.0 - least), 0.0, most)
+    return np.asarray(expit(ln_odds - less))
 
 
 def _trial(

@@ -444,7 +444,7 @@ def rocks(result: Result) -> ResultAnswer:
         else ""
     )
     false = result.get("expected_false_share")
-    doubt = f", of which {percent(false)} are expected to be none" if listed and false else ""
+    doubt = f"; {percent(false)} of them are probably bumps of the ground" if listed and false else ""
     shares = [
         f"{percent(one['share'])} of {100 * one['diameter_m']:g} cm at "
         f"{one['range_from_m']:g} to {one['range_to_m']:g} m"

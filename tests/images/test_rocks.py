@@ -17,7 +17,17 @@ from lunarsci.images.jobs.requests import RocksRequest
 from lunarsci.images.jobs.rocks import RockList
 from lunarsci.images.matching import Rectified, StereoMatches
 from lunarsci.images.rock_network import RockCandidates, _convolved, embedded_network, levels, rock_candidates, scores
-from lunarsci.images.rocks import RockSurvey, _bumps, _false_rate, _logistic, _parallax, _scene, find_rocks
+from lunarsci.images.rocks import (
+    RockSurvey,
+    _false_rate,
+    _logistic,
+    _parallax,
+    _pits,
+    _scene,
+    _share_of_bumps,
+    _with_false_share,
+    find_rocks,
+)
 from lunarsci.images.stones import StonePair, put_stone, spots
 from lunarsci.io.inputs import read_input
 from lunarsci.result import Doubt
@@ -156,7 +166,8 @@ def test_logistic_regression_finds_the_law_it_was_drawn_from() -> None:
 
 def test_rocks_of_a_rig_in_doubt_are_in_doubt() -> None:
     ground = SimpleNamespace(doubt=Doubt.of("the pictures contradict rig, mast or pose"))
-    assert RockList(ground=ground, survey=None, request=RocksRequest(rig="rig.toml")).untrusted.startswith(
+    survey = SimpleNamespace(false_share=0.1)
+    assert RockList(ground=ground, survey=survey, request=RocksRequest(rig="rig.toml")).untrusted.startswith(
         "the pictures"
     )
 
@@ -208,6 +219,28 @@ def test_bumps_of_the_ground_are_counted_by_pits_away_from_rocks(monkeypatch: py
         return candidates_at([[10.0, 10.0, 5.0], [60.0, 10.0, 5.0], [90.0, 10.0, 5.0]], [6.0, 6.0, 2.0])
 
     monkeypatch.setattr("lunarsci.images.rocks.rock_candidates", candidates)
-    assert _bumps(scene, 0.3, candidates_at([[12.0, 12.0, 8.0]], [9.0]), 4.0) == 1
+    assert _pits(scene, 0.3, candidates_at([[12.0, 12.0, 8.0]], [9.0]), 4.0) == 1
     np.testing.assert_allclose(looked[0].sun, [-0.6, -0.8, 0.0])
     np.testing.assert_array_equal(looked[0].above, -above)
+
+
+def test_probabilities_of_rocks_agree_with_how_many_are_false() -> None:
+    """Their odds keep their ratios; where more are true than is counted, and without any, they stay."""
+    chances = np.array([0.9999, 0.99, 0.95, 0.8])
+    less = _with_false_share(chances, 0.6)
+    assert less.mean() == pytest.approx(0.4)
+    ratio = (less / (1 - less)) / (chances / (1 - chances))
+    np.testing.assert_allclose(ratio, ratio[0])
+    assert _with_false_share(chances, 3.0).max() < 1e-9
+    np.testing.assert_array_equal(_with_false_share(chances, 0.01), chances)
+    assert _with_false_share(chances[:0], 0.0).size == 0
+
+
+def test_few_pits_leave_open_how_many_finds_are_bumps() -> None:
+    """Sums by hand for three of each; of many, as many bumps as pits, up to all finds."""
+    weights = np.array([1.0, 3.5 / 2, 3.5 * 4.5 / 2 / 4, 3.5 * 4.5 * 5.5 / 6 / 8])
+    assert _share_of_bumps(3, 3) == pytest.approx(weights @ np.arange(4) / weights.sum() / 3)
+    assert _share_of_bumps(0, 200) == pytest.approx(0.5 / 200, rel=0.01)
+    assert _share_of_bumps(200, 1000) == pytest.approx(0.2, rel=0.01)
+    assert 0.8 < _share_of_bumps(500, 50) < 1.0
+    assert _share_of_bumps(3, 0) == 0.0

@@ -46,7 +46,9 @@ class RockList(Result):
 
     @property
     def doubt(self) -> Doubt:
-        return self.ground.doubt
+        share = self.survey.false_share
+        bumps = f"{100 * share:.0f} % of these finds are probably bumps of the ground; each has its own probability"
+        return Doubt.of(self.ground.doubt, bumps if share > 0.5 else "")
 
     def to_dict(self) -> dict[str, Any]:
         survey = self.survey
