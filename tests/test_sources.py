@@ -57,7 +57,6 @@ SETTINGS = {
         "twin/telemetry/hypotheses.py: REPORTED", "twin/telemetry/states.py: HARDLY", "twin/telemetry/reading.py: SURE",
         "twin/telemetry/checks.py: STOP_COSTS_S", "twin/telemetry/hypotheses.py: MIRRORED",
         "twin/telemetry/smoother.py: MEDIAN_OF_TWO",
-        "twin/telemetry/log_names.py: STAMP_UNITS",
         "units.py: DEG", "units.py: SIZES", "twin/assimilation/update.py: SLIP_OF_1"),
     "the source stands in each of the entries": (
         "regolith/states.py: PULL_OVER_LOAD, PULLING", "regolith/states.py: SLIPS",

@@ -49,7 +49,6 @@ from lunarsci.spectra.readers.columns import is_wavelength
 from lunarsci.spectra.readers.dispatch import read_spectra, recognised
 from lunarsci.spectra.readers.pds import is_pds_label, read_pds_label
 from lunarsci.spectra.readers.table import MAX_PERCENT
-from lunarsci.units import columns_by_unit
 
 CAMERA_LABEL = re.compile(r"\bMODEL_COMPONENT_1\s*=|_point_observe_vector>|<(?:\w+:)?CAHV\w*_Model>", re.IGNORECASE)
 INSTRUMENT = re.compile(
@@ -357,7 +356,9 @@ def _kind_of_table(name: str, text: str, suffix: str) -> str:
     whole = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     lines = _from_names(whole)
     columns = _cells(name, lines[:1])
-    columns += telemetry_named_otherwise(columns)
+    from lunarsci.twin.telemetry.log_names import named_otherwise
+
+    columns += named_otherwise(columns)
     columns += states_named_otherwise(columns) or states_named_otherwise(_cells(name, whole[:1]))
     if {"time_s", "yaw_deg"} <= {*columns} and any(
         name.startswith(("angle_", "rate_", "steered_")) for name in columns
@@ -475,19 +476,6 @@ def states_named_otherwise(columns: Sequence[str]) -> list[str]:
     renamed = [what.target for name in columns if (what := of_name(name)) and what.target not in columns]
     present = [one.column for one in QUANTITIES if one.column in columns]
     return renamed if len(renamed) + len(present) > 1 else []
-
-
-def telemetry_named_otherwise(columns: Sequence[str]) -> list[str]:
-    """Columns of telemetry and positions that are there by other names, such as those of ROS, or in other units."""
-    from lunarsci.twin.telemetry.log_names import names_meant, ros_names
-
-    ros = ros_names(list(columns))
-    meant = [one for columns_of in names_meant(columns, ("FL", "FR", "RL", "RR")).values() for one in columns_of]
-    if any(name.startswith(("angle_", "rate_")) for name in meant):
-        ros += [*meant, *columns_by_unit(meant)]
-    if not any(name.startswith("angle_") for name in ros):  # places, whichever way the rover looks
-        ros = [name for name in ros if name != "yaw_deg"]
-    return ros + [name for name in columns_by_unit(list(columns)) if name not in columns]
 
 
 def camera_contents(file: InputFile) -> Mapping[str, Any]:
@@ -761,11 +749,12 @@ def _states(file: InputFile) -> Mapping[str, Any]:
 
 def _telemetry(file: InputFile | InputStream) -> Mapping[str, Any]:
     from lunarsci.twin.rover import build_rover
+    from lunarsci.twin.telemetry.log_names import named_otherwise
     from lunarsci.twin.telemetry.reading import Findings, read_telemetry
 
     names = file.data if isinstance(file, InputFile) else _ends(file)
     columns = names.partition(b"\n")[0].decode("utf-8", "replace").split(",")
-    six = b"_ML_" in names or any("_ML_" in name for name in telemetry_named_otherwise(columns))
+    six = b"_ML_" in names or any("_ML_" in name for name in named_otherwise(columns))
     rover = replace(build_rover("yutu2" if six else "small-four"), steered=())
     telemetry = read_telemetry(file, rover, Findings(file.name))
     time = telemetry.time_s

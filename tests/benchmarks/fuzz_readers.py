@@ -336,11 +336,11 @@ def shares() -> dict[str, np.ndarray]:
     return {"share_olivine": np.full((3, 4), 0.4), "share_orthopyroxene": np.full((3, 4), 0.6)}
 
 
-def shares_of_swath() -> bytes:
+def shares_of_swath(**layers: np.ndarray) -> bytes:
     import xarray
 
     where = {"latitude": np.repeat([[1.0], [0.5], [0.0]], 4, axis=1), "longitude": np.tile(0.5 * np.arange(4), (3, 1))}
-    data = xarray.Dataset({name: (("y", "x"), values) for name, values in (shares() | where).items()})
+    data = xarray.Dataset({name: (("y", "x"), values) for name, values in (shares() | where | layers).items()})
     with tempfile.TemporaryDirectory() as place:
         data.to_netcdf(f"{place}/map.nc", engine="h5netcdf")
         return Path(place, "map.nc").read_bytes()
@@ -455,6 +455,8 @@ def cube_readers() -> dict[str, Reader]:
                             ["spoilt.hdr", "spoilt.img"], [loc + BETWEEN + place], beside),
         "mineral map .tif": Reader(mapped, ["spoilt.tif"], [tiff(shares())]),
         "mineral map .nc": Reader(mapped, ["spoilt.nc"], [shares_of_swath()]),
+        "any image": Reader(_told, ["spoilt.nc"],
+                            [found["NetCDF 3"], shares_of_swath(pixel_flags=np.zeros((3, 4)))]),
         "regions": Reader(regions, ["spoilt.geojson"],
                           [ZONE.replace("[0, 0], [2, 0], [2, 1], [0, 0]",
                                         "[19, 39], [21, 39], [20, 42], [19, 39]").encode()],
@@ -889,7 +891,7 @@ def document_readers() -> dict[str, Reader]:
     ground_m = b"x_m,y_m,height_m\n" + b"".join(b"%d,%d,0.1\n" % (x, y) for y in range(3) for x in range(3))
     tables = [spectrum_files()[".csv"], telemetry()[".csv"], table("sinkage_m,slip_ratio,normal_force_n"), ground_m,
               b"name,latitude_deg,longitude_deg,diameter_km\nA,17.2,144.7,28\n", belief(), soil_map(),
-              json.dumps(former("fit")).encode(), FEATURE.encode(), b"CDF\x01",
+              json.dumps(former("fit")).encode(), FEATURE.encode(),
               b"slip,avg_Fx,avg_Fz\n0.1,2,3\n", ROS]  # fmt: skip
     settings = [SOIL, POSE, mission(), rig(), (own / "rovers/yutu2.toml").read_bytes(),
                 (own / "twin/plans/plan.toml").read_bytes(),
@@ -962,7 +964,7 @@ READ_BY = {
     "cube": CUBES,
     "dem": "elevation",
     "dems": "elevation",
-    "file": "any table, any settings",
+    "file": "any table, any settings, any image",
     "files": SPECTRA,
     "keep_out": "keep-outs, search for rocks",
     "known": "modes",

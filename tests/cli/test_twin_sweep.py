@@ -48,7 +48,7 @@ def test_samples_of_the_ranges_and_several_plans(run, plan: Path, tmp_path: Path
 
 def test_members_without_a_soil_are_drawn_from_the_priors_as_those_of_a_prediction_are(run, plan: Path) -> None:
     sweep = ("twin", "sweep", plan, "--vary", "wheel.radius_m=0.14:0.16:2", "--members", "3", "-q")
-    assert "soil: 3 drawn from the priors, before any drive" in run(*sweep).out
+    assert "soil: 3 drawn from the priors (before any drive)" in run(*sweep).out
     done = run(*sweep, "--json")
     result = json.loads(done.out)["result"]
     assert done.code == 0 and result["soil"]["of"] == "priors" and result["designs"][0]["kept_share"] == 1.0

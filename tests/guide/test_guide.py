@@ -232,7 +232,7 @@ def test_a_file_is_known_by_its_content(name: str, text: str | bytes, kind: str,
             [[1 + k // 9, 0, 0.1, 5, -20] for k in range(27)],
             "could be wheel states",
         ),
-        ("t,X,Y,heading,FL_rpm", [[5 + k, k, 0, 0, 9] for k in range(20)], "could be telemetry"),
+        ("t,X,Y,heading,rpm", [[5 + k, k, 0, 0, 9] for k in range(20)], "could be telemetry"),
         ("id,feo_wt", [[k, 9.8] for k in range(1, 31)], ""),
     ],
 )

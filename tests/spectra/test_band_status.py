@@ -97,11 +97,13 @@ def test_glass_and_spinel_leave_pyroxene_open() -> None:
 
 def test_a_pyroxene_that_is_open_is_never_sure() -> None:
     for chances in ({"CPX": 1.0}, {"OPX": 0.5, "CPX": 0.5}, {"OL-CPX": 1.0}):
-        found = standing(chances, (), "a reason")
+        found = standing(chances, None, (), "a reason")
         assert not {"pyroxene", "orthopyroxene", "clinopyroxene"} & set(found["sure"])
-        assert "pyroxene is fitted, but open: a reason" in verdict(chances, (), "a reason")
-        assert not any("is sure" in part for part in verdict(chances, (), "a reason").split("; ") if part[:2] != "no")
-    assert "a reason" not in verdict({"OL": 1.0}, (), "a reason")
+        assert "pyroxene is fitted, but open: a reason" in verdict(chances, None, (), "a reason")
+        assert not any(
+            "is sure" in part for part in verdict(chances, None, (), "a reason").split("; ") if part[:2] != "no"
+        )
+    assert "a reason" not in verdict({"OL": 1.0}, None, (), "a reason")
 
 
 def test_a_fit_does_not_call_water_a_sure_pyroxene() -> None:

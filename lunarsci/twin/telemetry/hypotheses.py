@@ -560,10 +560,12 @@ def _gains(priors: Priors, squares: FloatArray, held: BoolArray, near: list[Bool
     for one, tried in zip(priors.hypotheses, near, strict=True):
         part, (other, other_sigma, other_odds) = list(one.members), priors.under(tried)
         precision, inverse = sigma[part] ** -2, np.linalg.inv(covariance[np.ix_(part, part)])
-        said, shift = inverse - np.diag(precision), inverse @ centre[part] - precision * mean[part]
+        stated, shift = inverse - np.diag(precision), inverse @ centre[part] - precision * mean[part]
 
-        def ln_of(about: FloatArray, spread: FloatArray, said: FloatArray = said, shift: FloatArray = shift) -> float:
-            whole, towards = said + np.diag(spread**-2), shift + about / spread**2
+        def ln_of(
+            about: FloatArray, spread: FloatArray, stated: FloatArray = stated, shift: FloatArray = shift
+        ) -> float:
+            whole, towards = stated + np.diag(spread**-2), shift + about / spread**2
             determinant = np.linalg.slogdet(whole)[1] + 2.0 * np.log(spread).sum()
             return float(towards @ np.linalg.solve(whole, towards) - ((about / spread) ** 2).sum() - determinant) / 2.0
 

@@ -145,6 +145,17 @@ def ros_names(names: list[str]) -> list[str]:
     return sorted(meanings - {"stamp", "secs", "nsecs", "qx", "qy", "qz", "qw", "yaw_variance"} | turned)
 
 
+def named_otherwise(columns: Sequence[str]) -> list[str]:
+    """Columns of telemetry and positions that are there by other names, such as those of ROS, or in other units."""
+    ros = ros_names([*columns])
+    if not any(name.startswith("angle_") for name in ros):  # places, whichever way the rover looks
+        ros = [name for name in ros if name != "yaw_deg"]
+    meant = [one for columns_of in names_meant(columns, ("FL", "FR", "RL", "RR")).values() for one in columns_of]
+    if any(name.startswith(("angle_", "rate_")) for name in meant):
+        ros += [*meant, *columns_by_unit(meant)]
+    return ros + [name for name in columns_by_unit([*columns]) if name not in columns]
+
+
 def from_ros(file: str, table: "pd.DataFrame") -> "pd.DataFrame":
     """A table of ROS with lunarsci's columns; any other as it is. Raises DataError for two places of one rover."""
     names = [str(name) for name in table.columns]

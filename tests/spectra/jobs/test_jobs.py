@@ -88,7 +88,7 @@ def test_a_library_is_made_written_and_opened(calibrated: Calibrations, tmp_path
     ("ask", "error", "message"),
     [
         (lambda: match(site="here", modes="ol=0.5:0.1,opx=0.5:0.1"), RequestError, "`site` here: give LAT,LON"),
-        (lambda: match(), RequestError, "`modes` or `bands` for one rock"),
+        (lambda: match(), RequestError, "`modes` or `bands` of one rock"),
         (lambda: match(modes="ol=0.5"), RequestError, "`modes` 0.5: give ol=VALUE:ERROR"),
         (lambda: match(request=MatchRequest(rock_life="80:40", modes="ol=1:0")), RequestError, "`rock_life` 80:40"),
         (lambda: simulate(soil="ol=1.5"), ParameterError, "ol|olivine"),
