@@ -121,6 +121,9 @@ def rocks_page(model: ElevationModel, survey: RockSurvey) -> Figure:
         label = f"at {start:g} to {rows[0].range_to_m:g} m"
         axes[1].errorbar(size, share, bars, label=label, **DOT_STYLES[k % len(DOT_STYLES)])
     axes[1].set(xscale="log", ylim=(-0.03, 1.03), xlabel="diameter [m]", ylabel="share found [-]")
+    sizes = sorted({entry.diameter_m for entry in survey.completeness})
+    axes[1].set_xticks(sizes, [f"{size:g}" for size in sizes])
+    axes[1].set_xticks([], minor=True)
     legend_below(figure, axes[1], 2)
     return figure
 

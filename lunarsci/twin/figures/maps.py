@@ -18,7 +18,7 @@ from lunarsci.regolith.prior import PARAMETERS
 from lunarsci.twin.assimilation.residuals import OBSERVED, DriveRecord
 from lunarsci.twin.assimilation.segments import SoilChange, traverse_of, wheel_places
 from lunarsci.twin.assimilation.update import SoilUpdate
-from lunarsci.twin.figures.panels import GOLD, LABELS, draw_shade
+from lunarsci.twin.figures.panels import CONTOURS, GOLD, LABELS, draw_shade
 from lunarsci.twin.ground.hazards import Traversability
 from lunarsci.twin.ground.soil_map import SoilLayers, SoilMap
 from lunarsci.twin.ground.terrain import SOIL_COLUMNS, Terrain, from_si
@@ -33,7 +33,6 @@ HIGHEST, WINDOW_M = 8.0, 0.4
 """Residuals beyond are drawn at the edge; medians are those of such lengths of the way."""
 ROUNDING_M = 1e-4
 """Roughness below this is not drawn: of a plane it is that of rounding."""
-CONTOURS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 
 def terrain_maps(surface: Traversability, path: PlannedPath | None = None) -> Figure:

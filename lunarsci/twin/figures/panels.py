@@ -9,7 +9,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LightSource, ListedColormap, Normalize
 from matplotlib.patches import Circle
 
-from lunarsci.arrays import IntArray
+from lunarsci.arrays import FloatArray, IntArray
 from lunarsci.figure import BLUE, DOT_STYLES, INK, LINE_STYLES, as_label
 from lunarsci.regolith.figure import PARAMETER_LABELS
 from lunarsci.twin.ground.terrain import Terrain
@@ -40,6 +40,7 @@ LABELS = {
     "resistance_torque_nm": ("resistance torque M$_R$ [N m]", 1.0),
 }
 """Axis label, and factor from the quantity's unit to the label's."""
+CONTOURS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 SIGNED = ("slip_ratio", "side_slip_deg")
 
 
@@ -72,12 +73,14 @@ def color_bar(figure: Any, axes: Any, prediction: Prediction) -> None:
 
 def map_window(prediction: Prediction, terrain: Terrain, margin_m: float = MARGIN_M) -> tuple[slice, slice]:
     """Rows and columns of the terrain about the paths."""
+    return window_about(terrain, np.vstack([prediction.places_m.reshape(-1, 2), prediction.planned[:, :2]]), margin_m)
+
+
+def window_about(terrain: Terrain, places_m: FloatArray, margin_m: float) -> tuple[slice, slice]:
+    """Rows and columns of the terrain about some places (n, 2), NaN where there is none; all where these are few."""
     rows, columns = (
-        np.flatnonzero((axis >= points.min() - margin_m) & (axis <= points.max() + margin_m))
-        for axis, points in (
-            (terrain.y_m, np.append(prediction.places_m[..., 1], prediction.planned[:, 1])),
-            (terrain.x_m, np.append(prediction.places_m[..., 0], prediction.planned[:, 0])),
-        )
+        np.flatnonzero((axis >= np.nanmin(points) - margin_m) & (axis <= np.nanmax(points) + margin_m))
+        for axis, points in ((terrain.y_m, places_m[:, 1]), (terrain.x_m, places_m[:, 0]))
     )
     whole = (slice(0, len(terrain.y_m)), slice(0, len(terrain.x_m)))
     if min(len(rows), len(columns)) < 3:
@@ -94,15 +97,19 @@ def draw_shade(axes: Axes, height: Any, spacing_m: float, **look: Any) -> None:
     axes.imshow(shade, origin="lower", cmap="gray", vmin=-0.35, vmax=1.05, **look)
 
 
-def draw_ground(axes: Axes, terrain: Terrain, window: tuple[slice, slice], interval_m: float) -> None:
-    """Shaded relief with contour lines; gaps of the model that were filled in the colour of ground without heights."""
+def draw_ground(axes: Axes, terrain: Terrain, window: tuple[slice, slice], interval_m: float) -> float:
+    """Shaded relief with contour lines; gaps of the model that were filled in the colour of ground without heights.
+
+    Returns how far apart the lines are: `interval_m`, or farther where these would be too many. [m]
+    """
     x, y = terrain.x_m[window[1]], terrain.y_m[window[0]]
     height, half = np.ma.masked_invalid(terrain.height_m[window]), 0.5 * terrain.spacing_m
     extent = (float(x[0]) - half, float(x[-1]) + half, float(y[0]) - half, float(y[-1]) + half)
     axes.set_facecolor(NO_HEIGHT)
     draw_shade(axes, height, terrain.spacing_m, extent=extent, interpolation="bilinear")
     span = float(height.max() - height.min())
-    levels = np.arange(float(height.min()), float(height.max()) + interval_m, max(interval_m, span / 40.0))
+    interval_m = next((step for step in CONTOURS if step >= interval_m and span <= 40.0 * step), CONTOURS[-1])
+    levels = np.arange(float(height.min()), float(height.max()) + interval_m, interval_m)
     if len(levels) > 2:
         axes.contour(x, y, height, levels=levels, colors=INK, linewidths=0.5, alpha=0.55)
     if terrain.errors is not None and (filled := terrain.errors.filled).any():
@@ -111,6 +118,7 @@ def draw_ground(axes: Axes, terrain: Terrain, window: tuple[slice, slice], inter
         axes.imshow(unseen, origin="lower", extent=extent, **look)
         axes.fill([], [], facecolor=NO_HEIGHT, alpha=0.75, label="not seen, filled")
     axes.set(xlim=extent[:2], ylim=extent[2:], aspect="equal", xlabel="x [m]", ylabel="y [m]")
+    return interval_m
 
 
 def draw_paths(axes: Axes, prediction: Prediction, colors: Any, width: float) -> None:

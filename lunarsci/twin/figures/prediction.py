@@ -25,6 +25,7 @@ from lunarsci.twin.figures.panels import (
     map_window,
     member_colors,
     shown_members,
+    window_about,
 )
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.judgement.endpoint import Endpoint, ErrorEllipse, scale_of
@@ -75,7 +76,7 @@ def path_fan(prediction: Prediction, verdict: Verdict) -> Figure:
 
 
 def _draw_map(axes: Axes, prediction: Prediction, terrain: Terrain, colors: Any) -> None:
-    draw_ground(axes, terrain, map_window(prediction, terrain), 0.1)
+    every_m = draw_ground(axes, terrain, map_window(prediction, terrain), 0.1)
     draw_exclusion_zones(axes, prediction)
     draw_paths(axes, prediction, colors, 0.7)
     start, end = prediction.planned[0], prediction.destination_m
@@ -85,14 +86,19 @@ def _draw_map(axes: Axes, prediction: Prediction, terrain: Terrain, colors: Any)
     if stopped.any():
         ends = prediction.endpoints_m[stopped]
         axes.plot(ends[:, 0], ends[:, 1], "x", color=LIMIT, markersize=7, zorder=6, label="stopped early")
-    axes.set_title("paths of the rover's origin; contours every 0.1 m")
+    axes.set_title(f"paths of the rover's origin; contours every {every_m:g} m")
 
 
 def _draw_ends(axes: Axes, prediction: Prediction, verdict: Verdict, terrain: Terrain, colors: Any) -> None:
     """The last stretch, with error ellipses and the smallest circle about the destination that holds every end."""
     target = prediction.destination_m
     end = verdict.endpoint
-    draw_ground(axes, terrain, map_window(prediction, terrain), 0.02)
+    reach = 0.5
+    if end is not None:
+        reach = max(end.covering_radius_m, end.bias_m + 3.0 * end.ellipse.semi_major_m if end.ellipse else 0.0)
+    half = max(1.1 * reach, 0.1)
+    corners = np.asarray(target) + half * np.array([[-1.9, -1.0], [1.9, 1.0]])
+    every_m = draw_ground(axes, terrain, window_about(terrain, corners, 0.0), 0.02)
     draw_exclusion_zones(axes, prediction)
     draw_paths(axes, prediction, colors, 0.9)
     shown = [m for m in shown_members(prediction) if prediction.finished[m]]
@@ -100,16 +106,14 @@ def _draw_ends(axes: Axes, prediction: Prediction, verdict: Verdict, terrain: Te
     dots: dict[str, Any] = {"s": 14, "edgecolors": "white", "linewidths": 0.4, "zorder": 7}
     axes.scatter(ends[shown, 0], ends[shown, 1], c=[colors[m] for m in shown], **dots)
     axes.plot(*target, "*", color=GOLD, markeredgecolor=INK, markersize=15, zorder=8)
-    reach = 0.5
     if end is not None:
-        reach = max(end.covering_radius_m, end.bias_m + 3.0 * end.ellipse.semi_major_m if end.ellipse else 0.0)
         _draw_spread(axes, end)
-    half = max(1.1 * reach, 0.1)
-    axes.set_xlim(target[0] - 1.9 * half, target[0] + 1.9 * half)
-    axes.set_ylim(target[1] - half, target[1] + half)
+    edges = [(axis[0], axis[-1]) for axis in (terrain.x_m, terrain.y_m)]
+    low, high = (np.clip(corner, *np.transpose(edges)) for corner in corners)
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     who = "all" if verdict.arrived == verdict.members else arrivals(verdict.arrived, verdict.members)
     text = f"{who} within {end.covering_radius_m:.3f} m of the destination" if end else "none reached the destination"
-    axes.set_title(f"ends: {text}; contours every 0.02 m")
+    axes.set_title(f"ends: {text}; contours every {every_m:g} m")
 
 
 def _draw_spread(axes: Axes, end: Endpoint) -> None:

@@ -9,7 +9,7 @@ from matplotlib.patches import Ellipse
 
 from lunarsci.arrays import FloatArray
 from lunarsci.figure import BLUE, INK, VERMILION, as_label, headline, legend_below, page
-from lunarsci.twin.figures.panels import ACCENT, GOLD, LABELS, LIMIT, draw_ground, wheel_dots, wheel_line
+from lunarsci.twin.figures.panels import ACCENT, GOLD, LABELS, LIMIT, draw_ground, wheel_dots, wheel_line, window_about
 from lunarsci.twin.ground.terrain import Terrain
 from lunarsci.twin.simulation.ensemble import STATE_COLUMNS
 from lunarsci.twin.simulation.prescribed_motion import LoadEnsemble
@@ -44,7 +44,7 @@ def states_page(drive: DriveStates, terrain: Terrain, title: str) -> Figure:
 def _draw_map(axes: Axes, drive: DriveStates, terrain: Terrain) -> None:
     places = drive.held.states[..., :2]
     points = np.vstack([places.reshape(-1, 2), drive.nodes.fix_m])
-    draw_ground(axes, terrain, _window(points, terrain), 0.1)
+    every_m = draw_ground(axes, terrain, window_about(terrain, points, MARGIN_M), 0.1)
     for k in range(places.shape[1]):
         axes.plot(*places[:, k].T, **(wheel_line(k) | {"linewidth": 0.9, "alpha": 0.9, "zorder": 3}))
     motion, fixes = drive.motion, drive.positions
@@ -63,17 +63,7 @@ def _draw_map(axes: Axes, drive: DriveStates, terrain: Terrain) -> None:
         )
     if len(drive.left_out):
         axes.plot(*drive.left_out[:, 1:].T, "x", color=LIMIT, markersize=8, zorder=7, label="left out: fits no motion")
-    axes.set_title("wheel tracks, positions with ellipses of 3 σ; contours every 0.1 m")
-
-
-def _window(points: FloatArray, terrain: Terrain) -> tuple[slice, slice]:
-    """Rows and columns of the terrain about points."""
-    finite = points[np.isfinite(points).all(axis=1)]
-    slices = []
-    for axis, values in ((terrain.y_m, finite[:, 1]), (terrain.x_m, finite[:, 0])):
-        near = np.flatnonzero((axis >= values.min() - MARGIN_M) & (axis <= values.max() + MARGIN_M))
-        slices.append(slice(int(near[0]), int(near[-1]) + 1) if len(near) > 2 else slice(0, len(axis)))
-    return slices[0], slices[1]
+    axes.set_title(f"wheel tracks, positions with ellipses of 3 σ; contours every {every_m:g} m")
 
 
 def _draw_states(panel: Axes, drive: DriveStates, name: str) -> None:

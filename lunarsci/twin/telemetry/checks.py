@@ -278,7 +278,10 @@ class WheelPace:
                 f"this is r_s / r: if the plan's speed is that of the wheel's radius alone, write speed_m_s = {right}; "
                 "else check the radius"
             )
-        return f"write speed_m_s = {right} in the plan, or mend the wheel's radius: both look alike"
+        return (
+            f"write speed_m_s = {right} in the plan, or mend the wheel's radius: both look alike; a drive that speeds "
+            "up and slows down has no one speed"
+        )
 
     @property
     def doubt(self) -> str:
@@ -574,7 +577,7 @@ def _report_clock(telemetry: Telemetry, beside: _PlanMatch, findings: Findings) 
     late = float(np.median(rows[: 1 + int(np.argmax(np.append(np.abs(np.diff(rows)) > EDGE_S, True)))]))
     if abs(late) * beside.schedule.plan.speed_m_s < STEP_M:
         return 0.0
-    what = f"the commands are those of the plan if the clock is {abs(late):.12g} s {'late' if late > 0 else 'early'}"
+    what = f"the commands are those of the plan if the clock is {abs(late):.3f} s {'late' if late > 0 else 'early'}"
     start = f"`start_time` {telemetry.start_s + late:.12g}"
     findings.add("clock offset", what, f"times count from there, as {start} has it")
     return late
@@ -591,7 +594,7 @@ def _report_commands(beside: _PlanMatch, findings: Findings) -> bool:
     done, doubt = "the telemetry's are taken; give the plan as it was driven", bool(sent.time_s[rows[-1]] > EDGE_S)
     if not doubt:
         text += ", all of them at its start"
-        done = "the telemetry's are taken; the plan begins as steered as its first leg is, the rover was not yet"
+        done = "the telemetry's are taken; a plan begins at its full speed, steered as its first leg is"
     elif beside.share_off > REPORTED:
         done += ", and its `rover`"
     else:
