@@ -81,8 +81,10 @@ def test_a_result_shows_numbers_and_has_rows() -> None:
 
 @pytest.mark.parametrize(("broken", "advice"), [("slip_ratio", "a short drive"), ("battery_charge", "more charge")])
 def test_what_may_help_goes_by_what_is_broken(broken: str, advice: str) -> None:
-    best = SimpleNamespace(broken=[SimpleNamespace(quantity=broken)])
+    limits = [SimpleNamespace(quantity="slip_ratio", assumed=True), SimpleNamespace(quantity=broken, assumed=False)]
+    best = SimpleNamespace(broken=[SimpleNamespace(quantity=broken)], plan=SimpleNamespace(limits=limits))
     choice = SimpleNamespace(best=best, candidates=[], front=[])
     what_next: Any = ChosenDrive.what_next
     text = what_next.fget(SimpleNamespace(choice=choice, scouting="a short drive"))
     assert advice in text and ("`twin update` learns the soil" in text) == (broken == "slip_ratio")
+    assert ("--limits FILE, as its limits are assumed" in text) == (broken == "slip_ratio")
