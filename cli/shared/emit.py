@@ -321,8 +321,13 @@ def field_of(report: Report, path: str, whole: Mapping[str, Any]) -> tuple[str, 
                 value, doubt = None, f"no '{step}' here; there is: {_names_in(value)}"
                 break
             near = meant(step, value) if isinstance(value, dict) else ""
-            inside = _path_to(steps[-1], _opened(result))
-            near = f"did you mean '{inside}'? " if inside else near
+            if inside := _path_to(steps[-1], _opened(result)):
+                tried = [*steps, *[""] * inside.count(".")]
+                # Of the entry of a list that was asked for, not of the first.
+                parts = [
+                    b if a.isdigit() and b.isdigit() else a for a, b in zip(inside.split("."), tried, strict=False)
+                ]
+                near = f"did you mean '{'result.' if path.startswith('result.') else ''}{'.'.join(parts)}'? "
             choices = f"{near}there is: {_names_in(value)}"
             raise typer.BadParameter(f"--field {path}: no '{step}' at level {depth + 1}; {choices}") from None
     bare = plain(value)

@@ -646,6 +646,10 @@ def test_a_field_that_lies_deeper_is_named(run, rock: Path) -> None:
     for asked in ("bc1000_nm", "spectra.bc1000_nm"):
         done = run("spectra", "bands", rock, "--field", asked)
         assert done.code == 2 and "did you mean 'spectra.0.bc1000_nm'?" in done.err[0]
+    kept = rock.parent / "several.json"
+    assert run("spectra", "bands", rock, rock, "-o", kept).code in (0, 3)
+    done = run("info", kept, "--field", "result.spectra.1.fits.bc1000_nm")
+    assert done.code == 2 and "did you mean 'result.spectra.1.bc1000_nm'?" in done.err[0]
 
 
 def test_a_value_of_a_kept_result_is_read_without_computing_it_again(tmp_path: Path, run: Callable[..., Any]) -> None:
