@@ -322,12 +322,10 @@ def field_of(report: Report, path: str, whole: Mapping[str, Any]) -> tuple[str, 
                 break
             near = meant(step, value) if isinstance(value, dict) else ""
             if inside := _path_to(steps[-1], _opened(result)):
-                tried = [*steps, *[""] * inside.count(".")]
                 # Of the entry of a list that was asked for, not of the first.
-                parts = [
-                    b if a.isdigit() and b.isdigit() else a for a, b in zip(inside.split("."), tried, strict=False)
-                ]
-                near = f"did you mean '{'result.' if path.startswith('result.') else ''}{'.'.join(parts)}'? "
+                entry = next(filter(str.isdigit, steps), "0")
+                prefix = "result." if path.startswith("result.") else ""
+                near = f"did you mean '{prefix}{inside.replace('.0.', f'.{entry}.', 1)}'? "
             choices = f"{near}there is: {_names_in(value)}"
             raise typer.BadParameter(f"--field {path}: no '{step}' at level {depth + 1}; {choices}") from None
     bare = plain(value)

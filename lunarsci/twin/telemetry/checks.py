@@ -133,11 +133,7 @@ def _in_order(telemetry: Telemetry, findings: Findings) -> Telemetry:
 
 def with_wheels(telemetry: Telemetry, findings: Findings) -> Telemetry:
     """Rows about which some wheel has an angle, a rate or a command; without any they would tell of no slip."""
-    wheels = [
-        between_readings(telemetry.time_s, values, held=values is telemetry.speed_m_s)
-        for values in (telemetry.speed_m_s, telemetry.rate_deg_s, telemetry.angle_deg)
-    ]
-    blank = np.asarray(~np.isfinite(wheels).any(axis=(0, 2)))
+    blank = np.asarray(~np.isfinite(telemetry.of_wheels()).any(axis=(0, 2)))
     what = "no wheel has an angle, a rate or a command"
     findings.of_rows("missing readings", what, "rows left out", blank, telemetry.time_s)
     return subset(telemetry, ~blank) if blank.any() and not blank.all() else telemetry

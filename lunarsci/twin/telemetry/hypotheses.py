@@ -518,6 +518,13 @@ class Posterior:
     probable: FloatArray
 
 
+def _ln_factor(precision: FloatArray, shift: FloatArray, mean: FloatArray, sigma: FloatArray) -> float:
+    """ln of the integral of a normal factor, of precision (k, k) and shift (k,), over a normal prior (k,), (k,)."""
+    whole, towards = precision + np.diag(sigma**-2), shift + mean / sigma**2
+    determinant = np.linalg.slogdet(whole)[1] + 2.0 * np.log(sigma).sum()
+    return float(towards @ np.linalg.solve(whole, towards) - ((mean / sigma) ** 2).sum() - determinant) / 2.0
+
+
 LAST_DIGIT = math.log(np.finfo(float).eps)
 """ln of the share below which something does not count in a sum of floating-point numbers."""
 
@@ -560,16 +567,8 @@ def _gains(priors: Priors, squares: FloatArray, held: BoolArray, near: list[Bool
     for one, tried in zip(priors.hypotheses, near, strict=True):
         part, (other, other_sigma, other_odds) = list(one.members), priors.under(tried)
         precision, inverse = sigma[part] ** -2, np.linalg.inv(covariance[np.ix_(part, part)])
-        stated, shift = inverse - np.diag(precision), inverse @ centre[part] - precision * mean[part]
-
-        def ln_of(
-            about: FloatArray, spread: FloatArray, stated: FloatArray = stated, shift: FloatArray = shift
-        ) -> float:
-            whole, towards = stated + np.diag(spread**-2), shift + about / spread**2
-            determinant = np.linalg.slogdet(whole)[1] + 2.0 * np.log(spread).sum()
-            return float(towards @ np.linalg.solve(whole, towards) - ((about / spread) ** 2).sum() - determinant) / 2.0
-
-        gain = ln_of(other[part], other_sigma[part]) - ln_of(mean[part], sigma[part])
+        measured = inverse - np.diag(precision), inverse @ centre[part] - precision * mean[part]
+        gain = _ln_factor(*measured, other[part], other_sigma[part]) - _ln_factor(*measured, mean[part], sigma[part])
         result.append(gain + other_odds - ln_odds)
     return result
 

@@ -347,6 +347,11 @@ class Telemetry:
         """Rows with a localised position. (n,)"""
         return np.asarray(np.isfinite(self.fix_m).all(axis=1))
 
+    def of_wheels(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Commanded rim speeds, rates and angles in every row, as `between_readings` has them. (n, wheels) each"""
+        held = between_readings(self.time_s, self.speed_m_s, held=True)
+        return held, between_readings(self.time_s, self.rate_deg_s), between_readings(self.time_s, self.angle_deg)
+
     @property
     def turned_deg(self) -> FloatArray:
         """Steering as measured, else as commanded. (n, wheels) [deg]"""

@@ -37,7 +37,6 @@ from lunarsci.twin.telemetry.reading import (
     Findings,
     Telemetry,
     between,
-    between_readings,
 )
 
 ON_THE_SPOT = 0.1
@@ -89,10 +88,7 @@ def wheel_motion(telemetry: Telemetry, rover: Rover, gaps: BoolArray, findings: 
     """
     per_deg = np.radians(rover.wheel.shearing_radius_m)
     steps, resting = np.diff(telemetry.time_s)[:, None], resting_steps(telemetry)
-    sent_m_s, rate_deg_s, angle_deg = (
-        between_readings(telemetry.time_s, values, held=values is telemetry.speed_m_s)
-        for values in (telemetry.speed_m_s, telemetry.rate_deg_s, telemetry.angle_deg)
-    )
+    sent_m_s, rate_deg_s, angle_deg = telemetry.of_wheels()
     command, rate = between(sent_m_s) / per_deg * steps, between(rate_deg_s) * steps
     angle = np.diff(angle_deg, axis=0)
     # An encoder that hangs beside what its rate, else its command, says.
